@@ -1,0 +1,298 @@
+"""Every tunable of the system, declared once: type, default, range, unit, meaning.
+
+Command line, sliders, YAML and documentation derive from these declarations.  A parameter is addressed as
+`section.name`.  "px460" is a pixel of a virtual camera of focal length 460, the unit of nearly every threshold of
+VINS; "parity" names the value that reproduces the original C++.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from .errors import ParameterError
+
+
+@dataclass(frozen=True)
+class Range:
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Doc:
+    text: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Frontend:
+    """Corners, optical flow and track rejection (REFERENCE 2, 3)."""
+
+    max_cnt: Annotated[int, Range(20, 1000), Doc("tracks kept per image")] = 150
+    min_dist: Annotated[int, Range(5, 100), Doc("smallest distance between two tracks", "px")] = 30
+    freq: Annotated[
+        float, Range(1, 100), Doc("frames per second given to the estimator; other images are only tracked", "Hz")
+    ] = 10.0
+    equalize: Annotated[bool, Doc("CLAHE before tracking")] = True
+    clahe_clip: Annotated[float, Range(0.5, 10), Doc("CLAHE contrast limit")] = 3.0
+    clahe_tiles: Annotated[int, Range(2, 16), Doc("CLAHE tiles per side")] = 8
+    corner_quality: Annotated[
+        float, Range(0.0001, 0.2), Doc("weakest corner accepted, as a share of the strongest")
+    ] = 0.01
+    klt_window: Annotated[int, Range(7, 41), Doc("KLT window side", "px")] = 21
+    klt_levels: Annotated[int, Range(0, 5), Doc("KLT pyramid levels above the image")] = 3
+    klt_iterations: Annotated[int, Range(5, 100), Doc("KLT iterations per level")] = 30
+    klt_epsilon: Annotated[float, Range(0.0001, 0.1), Doc("KLT stops when the step is shorter", "px")] = 0.01
+    flow_back: Annotated[bool, Doc("track back and compare (parity for VINS-Mono: off)")] = True
+    flow_back_px: Annotated[float, Range(0.1, 5), Doc("largest distance after tracking back", "px")] = 0.5
+    border_px: Annotated[int, Range(0, 50), Doc("tracks nearer to the border are dropped", "px")] = 1
+    f_ransac: Annotated[bool, Doc("reject tracks by a fundamental matrix between consecutive frames")] = True
+    F_threshold: Annotated[float, Range(0.1, 10), Doc("F-RANSAC: largest distance to the epipolar line", "px460")] = 1.0
+    F_confidence: Annotated[float, Range(0.5, 0.9999), Doc("F-RANSAC confidence")] = 0.99
+    min_track_count: Annotated[
+        int, Range(1, 10), Doc("images a track must have been seen in before the estimator gets it")
+    ] = 2
+    max_gap_s: Annotated[float, Range(0.1, 10), Doc("a longer gap between images resets the tracker", "s")] = 1.0
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Pre-integration (REFERENCE 6)."""
+
+    acc_n_scale: Annotated[float, Range(0.01, 100), Doc("factor on the calibrated accelerometer noise")] = 1.0
+    gyr_n_scale: Annotated[float, Range(0.01, 100), Doc("factor on the calibrated gyroscope noise")] = 1.0
+    acc_w_scale: Annotated[float, Range(0.01, 100), Doc("factor on the calibrated accelerometer bias random walk")] = (
+        1.0
+    )
+    gyr_w_scale: Annotated[float, Range(0.01, 100), Doc("factor on the calibrated gyroscope bias random walk")] = 1.0
+    repropagate: Annotated[
+        bool, Doc("integrate again when the bias has moved further than the limits (parity: off)")
+    ] = True
+    repropagate_ba: Annotated[float, Range(0.001, 1), Doc("accelerometer bias change that triggers it", "m/s^2")] = 0.1
+    repropagate_bg: Annotated[float, Range(0.0001, 0.1), Doc("gyroscope bias change that triggers it", "rad/s")] = 0.01
+    max_interval_s: Annotated[float, Range(1, 60), Doc("IMU factors over longer intervals are left out", "s")] = 10.0
+
+
+@dataclass(frozen=True)
+class Init:
+    """Initialisation (REFERENCE 8; seeds 000.2, 004.11-17)."""
+
+    retry_s: Annotated[float, Range(0, 5), Doc("shortest time between two attempts", "s")] = 0.1
+    min_excitation: Annotated[float, Range(0, 5), Doc("standard deviation of delta_v/dt over the frames", "m/s^2")] = (
+        0.25
+    )
+    require_excitation: Annotated[bool, Doc("excitation is a gate (parity: only a message)")] = True
+    min_matches: Annotated[
+        int, Range(8, 100), Doc("matches between the reference frame and the newest (seed 004.11: 30)")
+    ] = 20
+    min_parallax_px: Annotated[float, Range(1, 100), Doc("mean parallax between them (seed 004.11: 20)", "px460")] = (
+        30.0
+    )
+    ransac_px: Annotated[
+        float, Range(0.05, 5), Doc("relative pose: largest distance to the epipolar line", "px460")
+    ] = 0.3
+    min_pose_inliers: Annotated[int, Range(5, 100), Doc("relative pose: points in front of both cameras")] = 13
+    min_pnp_points: Annotated[int, Range(5, 50), Doc("structure: points needed to place a frame")] = 10
+    max_structure_cost: Annotated[
+        float, Range(1e-5, 1), Doc("structure: bundle adjustment cost accepted without convergence")
+    ] = 5e-3
+    gravity_tolerance: Annotated[
+        float, Range(0.05, 5), Doc("largest difference of the estimated gravity's norm", "m/s^2")
+    ] = 1.0
+    gravity_iterations: Annotated[int, Range(1, 10), Doc("refinements of gravity on its tangent plane")] = 4
+
+
+@dataclass(frozen=True)
+class Window:
+    """Keyframes, sliding window and its solve (REFERENCE 7, 9)."""
+
+    size: Annotated[int, Range(4, 20), Doc("keyframes in the window beside the newest frame")] = 10
+    max_iterations: Annotated[int, Range(1, 100), Doc("solver iterations per frame")] = 8
+    keyframe_parallax: Annotated[
+        float, Range(0, 100), Doc("a frame with more mean parallax is a keyframe", "px460")
+    ] = 10.0
+    compensate_rotation: Annotated[bool, Doc("remove the gyroscope's rotation from the parallax (parity: off)")] = True
+    keyframe_min_tracked: Annotated[int, Range(0, 200), Doc("a frame that keeps fewer tracks is a keyframe")] = 20
+    min_observations: Annotated[int, Range(2, 10), Doc("observations a landmark needs to enter the solve")] = 2
+    min_depth: Annotated[
+        float, Range(0.001, 2), Doc("triangulated depths below it are replaced by init_depth", "m")
+    ] = 0.1
+    init_depth: Annotated[float, Range(0.5, 100), Doc("depth given to a landmark that cannot be triangulated", "m")] = (
+        5.0
+    )
+    pixel_sigma: Annotated[float, Range(0.1, 10), Doc("standard deviation of an observation", "px460")] = 1.5
+    loss: Annotated[Literal["cauchy", "huber", "none"], Doc("robust loss on projections")] = "cauchy"
+    loss_scale: Annotated[float, Range(0.1, 10), Doc("scale of the robust loss", "sigma")] = 1.0
+    reject_outliers: Annotated[
+        bool, Doc("drop landmarks after the solve by mean reprojection error (parity for VINS-Mono: off)")
+    ] = True
+    max_error_px: Annotated[float, Range(0.5, 30), Doc("largest mean reprojection error of a landmark", "px460")] = 3.0
+
+
+@dataclass(frozen=True)
+class Projection:
+    """The visual residual (SPEC 5.2)."""
+
+    residual: Annotated[
+        Literal["plane", "sphere"], Doc("normalised plane, or tangent plane of the unit sphere (seed 000.3.3.3)")
+    ] = "plane"
+
+
+@dataclass(frozen=True)
+class Solver:
+    """Levenberg-Marquardt on the Schur complement (SOLVER.md measured these)."""
+
+    initial_radius: Annotated[float, Range(1e-2, 1e16), Doc("initial trust-region radius (parity with Ceres: 1e4)")] = (
+        1e12
+    )
+    max_radius: Annotated[float, Range(1e2, 1e32), Doc("largest trust-region radius")] = 1e16
+    function_tolerance: Annotated[float, Range(0, 1e-2), Doc("stop when the cost falls by a smaller share")] = 1e-6
+    min_gain_ratio: Annotated[float, Range(0, 0.5), Doc("steps with a smaller gain ratio are rejected")] = 1e-3
+
+
+@dataclass(frozen=True)
+class Marginalization:
+    """The prior left by what leaves the window (REFERENCE 10)."""
+
+    eigen_threshold: Annotated[float, Range(0, 1), Doc("eigenvalues of the information below it count as zero")] = 1e-8
+
+
+@dataclass(frozen=True)
+class Health:
+    """Failure detection F1-F6 (REFERENCE 11)."""
+
+    min_tracked: Annotated[int, Range(0, 50), Doc("tracks shared with the previous frame (F1, advisory)")] = 2
+    max_acc_bias: Annotated[float, Range(0.1, 20), Doc("accelerometer bias norm (F2)", "m/s^2")] = 2.5
+    max_gyr_bias: Annotated[float, Range(0.01, 5), Doc("gyroscope bias norm (F3)", "rad/s")] = 1.0
+    max_jump_m: Annotated[float, Range(0.1, 100), Doc("translation between frames (F4)", "m")] = 5.0
+    max_z_jump_m: Annotated[float, Range(0.1, 100), Doc("vertical translation between frames (F5)", "m")] = 1.0
+    max_rotation_deg: Annotated[float, Range(1, 180), Doc("rotation between frames (F6, advisory)", "deg")] = 50.0
+
+
+@dataclass(frozen=True)
+class Params:
+    frontend: Frontend = field(default_factory=Frontend)
+    imu: Imu = field(default_factory=Imu)
+    init: Init = field(default_factory=Init)
+    window: Window = field(default_factory=Window)
+    projection: Projection = field(default_factory=Projection)
+    solver: Solver = field(default_factory=Solver)
+    marginalization: Marginalization = field(default_factory=Marginalization)
+    health: Health = field(default_factory=Health)
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One parameter as declared: what a slider, a command line flag or a table row needs."""
+
+    key: str  # "section.name"
+    type: type
+    default: Any
+    choices: tuple[str, ...]  # for Literal types
+    low: float | None
+    high: float | None
+    unit: str
+    doc: str
+
+
+def declarations() -> Iterator[Declaration]:
+    """Every parameter, in the order of this file."""
+    for section in dataclasses.fields(Params):
+        cls = typing.get_type_hints(Params)[section.name]
+        hints = typing.get_type_hints(cls, include_extras=True)
+        for f in dataclasses.fields(cls):
+            base, *notes = get_args(hints[f.name])
+            choices = get_args(base) if get_origin(base) is Literal else ()
+            span = next((n for n in notes if isinstance(n, Range)), None)
+            doc = next(n for n in notes if isinstance(n, Doc))
+            yield Declaration(
+                f"{section.name}.{f.name}",
+                str if choices else base,
+                f.default,
+                choices,
+                span.low if span else None,
+                span.high if span else None,
+                doc.unit,
+                doc.text,
+            )
+
+
+DECLARATIONS: Mapping[str, Declaration] = types.MappingProxyType({d.key: d for d in declarations()})
+
+
+def get(params: Params, key: str) -> Any:
+    section, name = _declaration(key).key.split(".")
+    return getattr(getattr(params, section), name)
+
+
+def replace(params: Params, changes: Mapping[str, Any]) -> Params:
+    """`params` with `section.name -> value` changed; values may be text.  Raises ParameterError."""
+    for key, value in changes.items():
+        declared = _declaration(key)
+        section, name = declared.key.split(".")
+        stage = dataclasses.replace(getattr(params, section), **{name: _coerce(declared, value)})
+        params = dataclasses.replace(params, **{section: stage})
+    return params
+
+
+def changed(params: Params, reference: Params | None = None) -> dict[str, Any]:
+    """The parameters that differ from `reference` (the defaults), `section.name -> value`."""
+    reference = reference or Params()
+    return {k: get(params, k) for k in DECLARATIONS if get(params, k) != get(reference, k)}
+
+
+def parse_assignment(text: str) -> tuple[str, str]:
+    """`section.name=value` -> (key, value)."""
+    key, sep, value = text.partition("=")
+    if not sep or not value.strip():
+        raise ParameterError(
+            f"--set {text!r} is not of the form section.name=value, e.g. --set window.max_iterations=8"
+        )
+    return key.strip(), value.strip()
+
+
+def _declaration(key: str) -> Declaration:
+    if key in DECLARATIONS:
+        return DECLARATIONS[key]
+    import difflib
+
+    near = difflib.get_close_matches(key, DECLARATIONS, n=3, cutoff=0.5)
+    near += [k for k in DECLARATIONS if k.split(".")[1] == key and k not in near]
+    hint = f"did you mean {' or '.join(near)}?" if near else "`vinspect run --help` lists all parameters"
+    raise ParameterError(f"unknown parameter {key!r}; {hint}")
+
+
+def _coerce(declared: Declaration, value: Any) -> Any:
+    expected = f"one of {', '.join(declared.choices)}" if declared.choices else declared.type.__name__
+    if declared.low is not None:
+        expected += f" from {declared.low:g} to {declared.high:g}"
+    problem = ParameterError(
+        f"parameter {declared.key}={value!r}: expected {expected}{' ' + declared.unit if declared.unit else ''}"
+    )
+    if declared.type is bool:
+        if isinstance(value, bool):
+            return value
+        word = str(value).strip().lower()
+        if word in ("1", "true", "yes", "on"):
+            return True
+        if word in ("0", "false", "no", "off"):
+            return False
+        raise problem
+    if declared.choices:
+        if value not in declared.choices:
+            raise problem
+        return value
+    try:
+        number = declared.type(value)
+        if declared.type is int and float(value) != number:
+            raise problem
+    except (TypeError, ValueError, OverflowError):
+        raise problem from None
+    if not (declared.low is None or declared.high is None or declared.low <= number <= declared.high):
+        raise problem
+    return number

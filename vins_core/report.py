@@ -1,0 +1,339 @@
+"""How every stage explains itself: gates, outcomes, and the report of one frame.
+
+A `Gate` is one comparison that decided something.  A `FrameReport` holds all that the estimator knew at one
+frame; it is what the record stores and what every panel of the interface draws.  Reports contain no times
+measured on a clock (those are `Timings`, kept beside the report), so that equal runs give equal reports.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from .sensors import Anomaly, ImageRef
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One comparison `value op limit` and the parameter (`section.name`) that sets the limit.
+
+    `value` is None when it could not be computed; such a gate has not passed.
+    An advisory gate (`decides=False`) is shown but changes nothing.
+    """
+
+    name: str
+    value: float | None
+    op: str  # ">=", ">", "<=", "<"
+    limit: float
+    knob: str = ""
+    unit: str = ""
+    decides: bool = True
+
+    @property
+    def passed(self) -> bool:
+        if self.value is None or not np.isfinite(self.value):
+            return False
+        match self.op:
+            case ">=":
+                return self.value >= self.limit
+            case ">":
+                return self.value > self.limit
+            case "<=":
+                return self.value <= self.limit
+            case "<":
+                return self.value < self.limit
+        raise ValueError(f"unknown comparison {self.op!r} in gate {self.name!r}")
+
+    @property
+    def margin(self) -> float | None:
+        """How far the value is on the passing side (negative: what is missing), in the gate's unit."""
+        if self.value is None:
+            return None
+        return self.value - self.limit if self.op.startswith(">") else self.limit - self.value
+
+
+def all_pass(gates: "tuple[Gate, ...] | list[Gate]") -> bool:
+    """True when every deciding gate has passed."""
+    return all(g.passed for g in gates if g.decides)
+
+
+class Status(StrEnum):
+    """What the estimator is doing after a frame."""
+
+    FILLING = "filling the window"
+    INITIALIZING = "initializing"
+    TRACKING = "tracking"
+    FAILED = "failed, restarting"
+
+
+class LossReason(StrEnum):
+    """Why a track ended (SPEC 2.2)."""
+
+    FLOW = "flow failed"
+    FLOW_BACK = "flow-back"
+    BORDER = "border"
+    RANSAC = "F-RANSAC"
+    MASK = "mask"
+    OUTLIER = "estimator outlier"
+    DEPTH = "negative depth"
+    RESET = "tracker reset"
+
+
+class LandmarkStatus(StrEnum):
+    CANDIDATE = "candidate"
+    TRIANGULATED = "triangulated"
+    OUTLIER = "outlier"
+    MARGINALIZED = "marginalized"
+
+
+LOSS_REASONS = tuple(LossReason)
+"""`TrackReport.lost_reason` holds indices into this tuple."""
+LANDMARK_STATUSES = tuple(LandmarkStatus)
+"""`LandmarkReport.status` holds indices into this tuple."""
+
+
+@dataclass(frozen=True)
+class TrackReport:
+    """What the front end did between the previous frame and this one (all images in between)."""
+
+    ids: np.ndarray  # (n,) int64, tracks alive in this frame, new ones last
+    uv_px: np.ndarray  # (n, 2) float32
+    age: np.ndarray  # (n,) int32, number of images the track has been seen in, 1 = new
+    velocity: np.ndarray  # (n, 2) float32, d(x/z, y/z)/dt on the normalised plane, 1/s; 0 for new tracks
+    lost_ids: np.ndarray  # (k,) int64
+    lost_uv_px: np.ndarray  # (k, 2) float32, last position where it was seen
+    lost_age: np.ndarray  # (k,) int32
+    lost_reason: np.ndarray  # (k,) uint8, index into LOSS_REASONS
+    n_new: int
+    gates: tuple[Gate, ...]  # e.g. F-RANSAC inlier ratio, share surviving flow
+
+
+@dataclass(frozen=True)
+class KeyframeReport:
+    """The keyframe decision about the second newest frame (REFERENCE W2, W3).  Any failed gate makes a keyframe.
+
+    Gates are stated so that *passing all of them* means "not a keyframe": tracked >= min, parallax < min.
+    """
+
+    is_keyframe: bool
+    reason: str  # one sentence
+    parallax_px: float  # mean, px460, rotation compensated
+    parallax_raw_px: float  # mean, px460, uncompensated
+    tracked: int
+    long_tracks: int
+    new_tracks: int
+    gates: tuple[Gate, ...]
+
+
+@dataclass(frozen=True)
+class InitStage:
+    """One stage of the initialisation: relative pose, structure, gyro bias, alignment, gravity ..."""
+
+    name: str
+    gates: tuple[Gate, ...]
+    outcome: str  # "" when it passed, else one sentence
+    values: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        return self.outcome == ""
+
+
+@dataclass(frozen=True)
+class InitReport:
+    """One attempt to initialise (REFERENCE 8), kept whether it succeeded or not."""
+
+    stages: tuple[InitStage, ...]
+    succeeded: bool
+    reference_slot: int  # l: window slot paired with the newest frame, -1 if none
+    scale: float | None
+    gravity: np.ndarray | None  # (3,) in the frame of the reference camera, before alignment
+    b_g: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class IterationReport:
+    cost: float
+    accepted: bool
+    step_norm: float
+    gain_ratio: float
+    damping: float  # trust-region radius
+
+
+@dataclass(frozen=True)
+class CostSplit:
+    """Robust costs 1/2 sum rho(|r|^2) per factor type."""
+
+    visual: float = 0.0
+    imu: float = 0.0
+    prior: float = 0.0
+
+    @property
+    def total(self) -> float:
+        return self.visual + self.imu + self.prior
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """One window solve: what went in, how it converged, what each factor says afterwards."""
+
+    before: CostSplit
+    after: CostSplit
+    iterations: tuple[IterationReport, ...]
+    termination: str
+    n_landmarks: int
+    # one row per projection factor
+    visual_ids: np.ndarray  # (N,) int64 track id
+    visual_slots: np.ndarray  # (N, 2) uint8: anchor slot, observing slot
+    visual_error_px: np.ndarray  # (N,) float32, unweighted norm in px460, after the solve
+    # one row per IMU factor (slot k to k + 1)
+    imu_sigma: np.ndarray  # (n - 1, 5) norm of the whitened residual of p, q, v, ba, bg
+
+
+@dataclass(frozen=True)
+class WindowReport:
+    """The window after this frame's solve, before the slide.  Slot 0 is the oldest."""
+
+    frames: np.ndarray  # (n,) int64 frame indices
+    t_ns: np.ndarray  # (n,) int64
+    keyframe: np.ndarray  # (n,) bool
+    p_w_b: np.ndarray  # (n, 3) m
+    q_w_b: np.ndarray  # (n, 4) wxyz
+    v_w_b: np.ndarray  # (n, 3) m/s
+    b_a: np.ndarray  # (n, 3) m/s^2
+    b_g: np.ndarray  # (n, 3) rad/s
+    shared: np.ndarray  # (n,) int32, tracks shared with the newest frame
+    error_px: np.ndarray  # (n,) float32, rms reprojection error of the observations in this frame, px460
+
+
+@dataclass(frozen=True)
+class LandmarkReport:
+    """Every landmark the window knows after the solve."""
+
+    ids: np.ndarray  # (m,) int64
+    xyz_w: np.ndarray  # (m, 3) float32, NaN for candidates without depth
+    inv_depth: np.ndarray  # (m,) float64, in the anchor camera; NaN without depth
+    sigma_inv_depth: np.ndarray  # (m,) float32, from the visual information alone (poses held); NaN unknown
+    anchor_slot: np.ndarray  # (m,) uint8
+    n_obs: np.ndarray  # (m,) uint8
+    error_px: np.ndarray  # (m,) float32 mean reprojection error, px460; NaN unknown
+    status: np.ndarray  # (m,) uint8, index into LANDMARK_STATUSES
+
+
+@dataclass(frozen=True)
+class BlockReport:
+    """A named block of the marginalisation: `pose 3 (frame 120)`, `inv_depth of 57`, `extrinsic cam0` ..."""
+
+    name: str
+    size: int
+    index: int  # first column in H of the marginalisation (dropped blocks first)
+    dropped: bool
+
+
+@dataclass(frozen=True)
+class MarginalizationReport:
+    """What left the window and what it left behind (SPEC 6.1, seed 003)."""
+
+    kind: str  # "MARGIN_OLD", "MARGIN_SECOND_NEW" or "none"
+    m: int
+    n: int
+    blocks: tuple[BlockReport, ...]
+    rank: int
+    eigenvalues: np.ndarray  # (n,) float64 of the new prior's information, ascending
+
+
+@dataclass(frozen=True)
+class HealthReport:
+    """Failure detection F1-F6 after the solve.  A failed deciding gate restarts the estimator."""
+
+    gates: tuple[Gate, ...]
+    outcome: str  # "" when healthy, else one sentence
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """The newest frame's state right after its own solve; never revised afterwards."""
+
+    p_w_b: np.ndarray
+    q_w_b: np.ndarray  # wxyz
+    v_w_b: np.ndarray
+    b_a: np.ndarray
+    b_g: np.ndarray
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """All the estimator knew at one frame."""
+
+    frame: int
+    t_ns: int
+    images: tuple[ImageRef, ...]  # every image tracked for this frame; the last one is the frame
+    n_imu: int
+    status: Status
+    anomalies: tuple[Anomaly, ...]
+    tracks: TrackReport
+    keyframe: KeyframeReport | None = None
+    initialization: InitReport | None = None
+    solve: SolveReport | None = None
+    window: WindowReport | None = None
+    landmarks: LandmarkReport | None = None
+    marginalization: MarginalizationReport | None = None
+    health: HealthReport | None = None
+    pose: PoseEstimate | None = None
+
+
+Timings = dict[str, float]
+"""Milliseconds per stage of one frame: decode, track, preintegrate, initialize, solve, marginalize, slide, record."""
+
+
+@dataclass(frozen=True)
+class FrameSummary:
+    """One row per frame for timelines and tables over a whole run, kept small so that opening a run is fast."""
+
+    frame: int
+    t_ns: int
+    status: Status
+    is_keyframe: bool | None  # decision about the second newest frame; None while the window fills
+    n_tracks: int
+    n_new: int
+    n_lost: int
+    parallax_px: float | None
+    before: CostSplit | None
+    after: CostSplit | None
+    n_iterations: int
+    n_landmarks: int
+    marginalized: str
+    initialization: str | None  # None: not attempted; "": succeeded; else why it failed
+    health: str  # "" or why the estimator restarted
+    failed_gates: tuple[str, ...]  # names of deciding gates of initialisation and health that failed
+    n_anomalies: int
+    pose: PoseEstimate | None
+    ms: Timings
+
+
+def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
+    tracks, solve, init = report.tracks, report.solve, report.initialization
+    failed = [g.name for s in init.stages for g in s.gates if g.decides and not g.passed] if init else []
+    failed += [g.name for g in report.health.gates if g.decides and not g.passed] if report.health else []
+    why = next((s.outcome for s in init.stages if not s.passed), "") if init else None
+    return FrameSummary(
+        frame=report.frame,
+        t_ns=report.t_ns,
+        status=report.status,
+        is_keyframe=report.keyframe.is_keyframe if report.keyframe else None,
+        n_tracks=len(tracks.ids),
+        n_new=tracks.n_new,
+        n_lost=len(tracks.lost_ids),
+        parallax_px=report.keyframe.parallax_px if report.keyframe else None,
+        before=solve.before if solve else None,
+        after=solve.after if solve else None,
+        n_iterations=len(solve.iterations) if solve else 0,
+        n_landmarks=solve.n_landmarks if solve else 0,
+        marginalized=report.marginalization.kind if report.marginalization else "none",
+        initialization=why,
+        health=report.health.outcome if report.health else "",
+        failed_gates=tuple(failed),
+        n_anomalies=len(report.anomalies),
+        pose=report.pose,
+        ms=ms,
+    )

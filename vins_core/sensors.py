@@ -1,0 +1,143 @@
+"""What sensors deliver and how they are calibrated: plain values that every other file speaks in.
+
+Frames: `w` world (gravity along -z), `b` body = IMU, `c0` camera.  `T_b_c` maps camera to body coordinates.
+Times are integer nanoseconds of the recording's own clock; a camera's `td_s` satisfies t_imu = t_image + td.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from .geometry.camera import CameraModel
+
+
+@dataclass(frozen=True)
+class ImuSamples:
+    """Consecutive IMU samples."""
+
+    t_ns: np.ndarray  # (n,) int64
+    gyro_rad_s: np.ndarray  # (n, 3)
+    accel_m_s2: np.ndarray  # (n, 3) specific force: +g along up at rest
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, rows: slice | np.ndarray) -> ImuSamples:
+        return ImuSamples(self.t_ns[rows], self.gyro_rad_s[rows], self.accel_m_s2[rows])
+
+    @staticmethod
+    def empty() -> ImuSamples:
+        return ImuSamples(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+
+    @staticmethod
+    def concatenate(parts: list[ImuSamples]) -> ImuSamples:
+        return ImuSamples(
+            np.concatenate([p.t_ns for p in parts]),
+            np.concatenate([p.gyro_rad_s for p in parts]),
+            np.concatenate([p.accel_m_s2 for p in parts]),
+        )
+
+
+@dataclass(frozen=True)
+class ImageRef:
+    """An image by reference: where to find it in the recording, never its pixels."""
+
+    t_ns: int
+    camera: int  # index into Calibration.cameras
+    index: int  # running number of this camera's images in the recording
+
+
+@dataclass(frozen=True)
+class GpsFix:
+    t_ns: int
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    covariance_enu_m2: np.ndarray  # (3, 3)
+    status: int  # sensor_msgs/NavSatStatus
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Stamped body poses, e.g. ground truth or an estimate."""
+
+    t_ns: np.ndarray  # (n,) int64, increasing
+    p_w_b: np.ndarray  # (n, 3)
+    q_w_b: np.ndarray  # (n, 4) wxyz, NaN where only positions are known
+    v_w_b: np.ndarray | None = None  # (n, 3)
+    b_g: np.ndarray | None = None
+    b_a: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True)
+class Anomaly:
+    """Something in the recording that a careful user wants to know (SPEC 1.3)."""
+
+    kind: str  # gap, duplicate, reversal, rate_change, no_imu, dropped_image, nan, unit_suspicion, axis_suspicion ...
+    t_ns: int
+    topic: str
+    message: str  # one sentence
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """IMU noise.  `discrete`: VINS' per-sample sigmas.  `continuous`: Kalibr/EuRoC densities, per sqrt(Hz)."""
+
+    kind: str  # "discrete" | "continuous"
+    acc_n: float  # m/s^2   | m/s^2/sqrt(Hz)
+    gyr_n: float  # rad/s   | rad/s/sqrt(Hz)
+    acc_w: float  # bias random walk; VINS multiplies it by dt per sample | m/s^3/sqrt(Hz)
+    gyr_w: float
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    name: str  # "cam0"
+    model: CameraModel
+    T_b_c: np.ndarray  # (4, 4)
+    topic: str = ""
+    mask: str = ""  # path of a fisheye mask image, white = usable
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """All that must be known about the sensors before a run.  Nothing in here has a silent default."""
+
+    cameras: tuple[CameraCalibration, ...]
+    noise: ImuNoise
+    gravity_m_s2: float
+    td_s: float = 0.0  # t_imu = t_image + td; zero only where the file says so or the format has no such key
+    imu_topic: str = ""
+    sources: tuple[str, ...] = field(default=())  # the files this was read from
+
+
+@dataclass(frozen=True)
+class Packet:
+    """All that arrived for one frame: the images since the previous frame (the last one is the frame) and the IMU.
+
+    `imu` covers [t_previous + td, t_frame + td]: both ends are there, interpolated when no sample falls on them, so
+    the last sample of one packet equals the first of the next.  For the first packet it covers what came before.
+    """
+
+    frame: int
+    images: tuple[ImageRef, ...]
+    imu: ImuSamples
+    anomalies: tuple[Anomaly, ...] = ()
+
+    @property
+    def t_ns(self) -> int:
+        return self.images[-1].t_ns
+
+
+class ImageSource(Protocol):
+    """Gives pixels for references; recordings implement it."""
+
+    def load(self, ref: ImageRef) -> np.ndarray:
+        """Grey image (rows, columns) uint8; raises RecordingError when it cannot be read."""
+        ...

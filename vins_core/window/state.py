@@ -1,0 +1,105 @@
+"""The estimator's state: what crosses a `step`.  Frozen values; arrays are never written after construction.
+
+A window is a tuple of frames, oldest first; the last one is the newest.  Tracks live in the frames that saw them:
+`Observations` of a frame are shared by every window that contains it, so history costs one copy per frame.
+Blocks of the prior are named by frame number, not by slot, so that sliding renames nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..factors.preintegration import Preintegration
+from ..report import LANDMARK_STATUSES, LandmarkStatus
+
+CANDIDATE, TRIANGULATED, OUTLIER, MARGINALIZED = (
+    LANDMARK_STATUSES.index(s)
+    for s in (
+        LandmarkStatus.CANDIDATE,
+        LandmarkStatus.TRIANGULATED,
+        LandmarkStatus.OUTLIER,
+        LandmarkStatus.MARGINALIZED,
+    )
+)
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The tracks of one image as the estimator sees them, sorted by id."""
+
+    ids: np.ndarray  # (n,) int64, increasing
+    rays: np.ndarray  # (n, 3) float64, unit rays in the camera frame
+    uv_px: np.ndarray  # (n, 2) float32
+    velocity: np.ndarray  # (n, 2) float32, d(x/z, y/z)/dt, 1/s
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+@dataclass(frozen=True)
+class WindowFrame:
+    """One frame of the window: its measurements and its estimated state."""
+
+    frame: int
+    t_ns: int
+    is_keyframe: bool
+    observations: Observations
+    imu: Preintegration | None  # from the previous frame of the window to this one; None for the oldest
+    p_w_b: np.ndarray  # (3,)
+    q_w_b: np.ndarray  # (4,) wxyz
+    v_w_b: np.ndarray  # (3,)
+    b_a: np.ndarray  # (3,)
+    b_g: np.ndarray  # (3,)
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Inverse depths of tracks in the first frame of the window that sees them (their anchor)."""
+
+    ids: np.ndarray  # (m,) int64, increasing
+    inv_depth: np.ndarray  # (m,) float64, 1/m along z of the anchor camera; NaN when not triangulated
+    status: np.ndarray  # (m,) uint8, index into LANDMARK_STATUSES
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @staticmethod
+    def empty() -> Landmarks:
+        return Landmarks(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.uint8))
+
+
+@dataclass(frozen=True)
+class BlockKey:
+    """`pose` and `speed_bias` of a frame number, `extrinsic` of a camera."""
+
+    kind: str  # "pose" | "speed_bias" | "extrinsic"
+    id: int
+
+    @property
+    def size(self) -> int:
+        """Dimension of the tangent space."""
+        return 9 if self.kind == "speed_bias" else 6
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What marginalised frames left: the residual r + J (x [-] x0), seed 000.3.3.4.
+
+    Pose and extrinsic blocks of `x0` are (p, q wxyz) with tangent (dp, dtheta), q = q0 * Exp(dtheta);
+    speed-bias blocks are (v, b_a, b_g).
+    """
+
+    blocks: tuple[BlockKey, ...]
+    x0: tuple[np.ndarray, ...]  # per block, (7,) or (9,)
+    J: np.ndarray  # (n, n)
+    r: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
+class WindowState:
+    frames: tuple[WindowFrame, ...]
+    landmarks: Landmarks
+    prior: Prior | None
+    T_b_c: np.ndarray  # (cameras, 4, 4)
