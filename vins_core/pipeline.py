@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from .frontend.state import TrackerState
-from .report import Status
+from .report import PoseEstimate, Status
 from .window.state import WindowFrame, WindowState
 
 
@@ -16,8 +16,11 @@ class RunState:
     tracker: TrackerState
     window: WindowState
     status: Status
-    interim: tuple[WindowFrame, ...] = field(default=())
-    """While initialising: frames since the oldest window frame that the window did not keep (VINS all_image_frame)."""
+    history: tuple[WindowFrame, ...] = field(default=())
+    """While initialising: every frame since the oldest of the window, kept or not (VINS' all_image_frame), each with
+    the pre-integration from the frame just before it in time; empty once tracking."""
     last_attempt_ns: int | None = None
     rejected_ids: tuple[int, ...] = ()
     """Tracks the estimator rejected in this frame; the tracker drops them in the next one."""
+    resume: PoseEstimate | None = None
+    """After a restart: the last healthy pose, which the next initialisation starts from."""
