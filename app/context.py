@@ -1,0 +1,104 @@
+"""What a panel sees: the run, the frame shown, what is selected.  Plain values; no viser, no browser.
+
+A panel is a module in `app/panels` with
+
+    TITLE: str   of its tab
+    ICON: str    name in `viser.Icon`
+    KEY: str     names it in layouts; its html carries it once as `data-vip="KEY"`, so that only visible panels render
+    render(ctx: PanelContext) -> str             html of this frame, a pure function
+    backdrop(ctx: PanelContext) -> str           optional: html that depends only on the run, shown above `render`'s
+                                                 and sent again only when the run grows
+
+Text that comes from a file (topic, path, name) is escaped before it enters html.
+
+In the page there is one helper object, `vi` (see browser.py), for html attributes:
+
+    vi.send({k:'frame', i:12})                   go to a frame
+    vi.send({k:'pick', t:'track', i:57})         select ("track" or "frame"); i:-1 clears
+    vi.send({k:'step', d:1, kf:false})           one frame on, or one keyframe
+    onpointerdown/onpointermove='vi.scrub(event,this)'   seek by the pointer's share of the element's width
+    onwheel='vi.wheel(event,this)' onpointermove='vi.pan(event)' ondblclick='vi.reset()'   zoom and pan of an image
+
+and CSS variables on the root: `--vi-x`, `--vi-y` (px) and `--vi-z` hold zoom and pan of the image, so that they
+survive new content; `--vi-head` is the shown frame's place in the run, 0..1, so that a playhead in a backdrop is
+`left: calc(var(--vi-head) * 100%)`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from vins_core.report import FrameReport, FrameSummary, Timings
+from vins_core.sensors import Trajectory
+
+from .series import RunSeries, run_series
+
+if TYPE_CHECKING:
+    from vins_core.record.recording import RunReader
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What the user picked: nothing, a track (and with it its landmark), or a frame of the window."""
+
+    kind: str = ""  # "" | "track" | "frame"
+    id: int = -1
+
+    def is_track(self, id: int) -> bool:
+        return self.kind == "track" and self.id == id
+
+
+class RunView:
+    """A run as the interface reads it: reports on demand (the last few hundred are kept), arrays over all frames."""
+
+    def __init__(self, reader: RunReader) -> None:
+        self.reader = reader
+        self.report = lru_cache(maxsize=400)(reader.report)
+        self._series = run_series([], None)
+
+    def __len__(self) -> int:
+        return len(self.summaries)
+
+    @property
+    def header(self) -> Any:
+        return self.reader.header
+
+    @property
+    def complete(self) -> bool:
+        """False while the estimator is still writing it."""
+        return self.reader.complete
+
+    @property
+    def summaries(self) -> list[FrameSummary]:
+        return self.reader.summaries
+
+    @property
+    def truth(self) -> Trajectory | None:
+        return self.reader.truth
+
+    def ms(self, k: int) -> Timings:
+        return self.summaries[k].ms
+
+    @property
+    def series(self) -> RunSeries:
+        """Arrays over the frames read so far."""
+        if len(self._series) != len(self.summaries):
+            self._series = run_series(self.summaries, self.truth)
+        return self._series
+
+
+@dataclass(frozen=True)
+class PanelContext:
+    run: RunView
+    frame: int
+    report: FrameReport
+    ms: Timings
+    selection: Selection
+    image_uri: str  # data: URI of the frame's image, "" when there is none
+    image_note: str  # why there is none, one sentence
+    width: int  # of the image, px
+    height: int
+    playing: bool = False
+    progress: str = ""  # what the estimator is doing while it still runs, e.g. "frame 120, 8.1 of 16.0 s"
