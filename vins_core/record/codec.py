@@ -1,0 +1,175 @@
+"""Trees of frozen dataclasses with numpy arrays to bytes and back, exactly, without ever executing what is read.
+
+A blob holds named sections (msgpack, typed when decoded) and one table of arrays that the sections refer to:
+
+    directory length u32 | directory (msgpack) | padding | array bytes, each aligned to 16
+
+An array that occurs twice in a blob is stored once.  Since state is immutable, one that is still the same object as
+in an earlier blob of a series is not stored at all: it is referred to by (blobs back, index).  So a sliding window
+costs what changed, and every field added to the state is recorded without a line of code here.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import prod
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from ..errors import RunError
+
+T = TypeVar("T")
+
+ALIGNMENT = 16
+DTYPES = frozenset(("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f4", "<f8"))
+_EXT_ARRAY = 1
+_REFERENCE = struct.Struct("<II")  # blobs back, index in that blob's table
+_LENGTH = struct.Struct("<I")
+
+
+class _Spec(msgspec.Struct, array_like=True, frozen=True):
+    """One row of the array table."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    offset: int  # from the start of the array bytes
+    fortran: bool = False  # column-major: BLAS may add in another order, so the layout is part of the value
+
+
+class _Directory(msgspec.Struct, array_like=True, frozen=True):
+    sections: dict[str, bytes]
+    arrays: list[_Spec]
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Where the arrays of the previous blob's shared sections are stored: `id(array) -> (array, blob, index)`.
+
+    It keeps those arrays alive, hence an id names the same array for as long as it is in here.
+    """
+
+    blob: int = 0  # number of the next blob in the series
+    known: Mapping[int, tuple[np.ndarray, int, int]] = field(default_factory=dict)
+
+
+def pack(sections: Mapping[str, Any]) -> bytes:
+    """A self-contained blob."""
+    return pack_series(sections, {}, Ledger())[0]
+
+
+def pack_series(own: Mapping[str, Any], shared: Mapping[str, Any], ledger: Ledger) -> tuple[bytes, Ledger]:
+    """The next blob of a series; only the `shared` sections may refer to arrays of earlier blobs."""
+    table = _Table(ledger)
+    encoded = {name: table.encode(value, own_only=True) for name, value in own.items()}
+    encoded |= {name: table.encode(value, own_only=False) for name, value in shared.items()}
+    directory = msgspec.msgpack.encode(_Directory(encoded, table.specs))
+    head = _LENGTH.pack(len(directory)) + directory
+    return b"".join((head, bytes(-len(head) % ALIGNMENT), *table.chunks)), Ledger(ledger.blob + 1, table.seen)
+
+
+class _Table:
+    """Collects the arrays of one blob while it is written."""
+
+    def __init__(self, ledger: Ledger) -> None:
+        self.specs: list[_Spec] = []
+        self.chunks: list[bytes] = []
+        self.seen: dict[int, tuple[np.ndarray, int, int]] = {}  # what the shared sections hold: the next ledger
+        self._ledger = ledger
+        self._by_content: dict[tuple[str, tuple[int, ...], bool, bytes], int] = {}
+        self._size = 0
+
+    def encode(self, value: Any, own_only: bool) -> bytes:
+        def hook(leaf: Any) -> Any:
+            if isinstance(leaf, np.ndarray):
+                blob, index = (self._ledger.blob, self._store(leaf)) if own_only else self._locate(leaf)
+                return msgspec.msgpack.Ext(_EXT_ARRAY, _REFERENCE.pack(self._ledger.blob - blob, index))
+            if isinstance(leaf, np.generic):
+                return leaf.item()
+            raise TypeError(f"a record cannot hold a {type(leaf).__name__}")
+
+        return msgspec.msgpack.encode(value, enc_hook=hook)
+
+    def _locate(self, array: np.ndarray) -> tuple[int, int]:
+        entry = self.seen.get(id(array)) or self._ledger.known.get(id(array))
+        if entry is None:
+            entry = (array, self._ledger.blob, self._store(array))
+        self.seen[id(array)] = entry
+        return entry[1], entry[2]
+
+    def _store(self, array: np.ndarray) -> int:
+        dtype = array.dtype.newbyteorder("<").str
+        if dtype not in DTYPES:
+            raise TypeError(f"a record cannot hold arrays of dtype {array.dtype}")
+        fortran = array.flags.fnc
+        data = array.astype(dtype, copy=False).tobytes("F" if fortran else "C")
+        key = (dtype, array.shape, fortran, data)
+        index = self._by_content.get(key)
+        if index is None:
+            index = self._by_content[key] = len(self.specs)
+            self.specs.append(_Spec(dtype, array.shape, self._size, fortran))
+            padding = -len(data) % ALIGNMENT
+            self.chunks += (data, bytes(padding))
+            self._size += len(data) + padding
+        return index
+
+
+class Blob:
+    """A blob that was read.  Arrays are read-only views into it; RunError where it contradicts itself."""
+
+    def __init__(self, data: bytes, where: str) -> None:
+        self._where = where
+        if len(data) < _LENGTH.size:
+            raise self._damaged("is too short")
+        end = _LENGTH.size + _LENGTH.unpack_from(data)[0]
+        if end > len(data):
+            raise self._damaged("announces a directory longer than itself")
+        directory = self._decode(_Directory, memoryview(data)[_LENGTH.size : end], None)
+        self._sections, self._arrays = directory.sections, directory.arrays
+        self._data = memoryview(data)[min(end + -end % ALIGNMENT, len(data)) :]
+
+    def __contains__(self, section: str) -> bool:
+        return section in self._sections
+
+    def get(self, section: str, kind: type[T], earlier: Callable[[int], Blob] | None = None) -> T:
+        """Decode a section; `earlier(n)` gives the blob n places before this one in its series."""
+        if section not in self._sections:
+            raise self._damaged(f"has no section {section!r}")
+
+        def hook(code: int, payload: memoryview) -> np.ndarray:
+            if code != _EXT_ARRAY or len(payload) != _REFERENCE.size:
+                raise self._damaged(f"holds an unknown extension {code}")
+            back, index = _REFERENCE.unpack(payload)
+            if back == 0:
+                return self.array(index)
+            if earlier is None:
+                raise self._damaged(f"section {section!r} refers to another blob")
+            return earlier(back).array(index)
+
+        return self._decode(kind, self._sections[section], hook)
+
+    def array(self, index: int) -> np.ndarray:
+        if index >= len(self._arrays):
+            raise self._damaged(f"has no array {index}")
+        spec = self._arrays[index]
+        if spec.dtype not in DTYPES or len(spec.shape) > 8 or min(spec.shape, default=0) < 0 or spec.offset < 0:
+            raise self._damaged(f"describes array {index} wrongly")
+        count = prod(spec.shape)
+        if spec.offset + count * np.dtype(spec.dtype).itemsize > len(self._data):
+            raise self._damaged(f"ends before its array {index}")
+        if count == 0:
+            return np.zeros(spec.shape, spec.dtype)
+        flat = np.frombuffer(self._data, spec.dtype, count, spec.offset)
+        return flat.reshape(spec.shape, order="F" if spec.fortran else "C")
+
+    def _decode(self, kind: type[T], data: Any, hook: Any) -> T:
+        try:
+            return msgspec.msgpack.decode(data, type=kind, ext_hook=hook)
+        except (msgspec.MsgspecError, RecursionError, ValueError, OverflowError, MemoryError) as problem:
+            raise self._damaged(f"cannot be decoded ({problem})") from None
+
+    def _damaged(self, what: str) -> RunError:
+        return RunError(f"{self._where} {what}; the record is damaged or not a vinspect record")

@@ -1,0 +1,332 @@
+"""A run on disk: a folder that only ever grows, readable while it is written and after a crash (SPEC 9.1).
+
+    header.json   how the run came about
+    truth.bin     ground truth of the recording, when it has one
+    frames.log    a block a frame: report, timings, packet, and the state after it (HOUSE, "Time travel")
+    index.log     a block a frame: where it lies in frames.log, and its summary; made again when missing or damaged
+    images.log    with --embed-images: the images of each frame, losslessly
+    end.json      written last: how the run ended
+
+The state of every frame comes back bit for bit without replay: see codec.py for how a window costs little.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..errors import OutputError, RunError
+from ..pipeline import RunState
+from ..report import FrameReport, FrameSummary, Timings, summarize
+from ..sensors import ImageRef, ImageSource, Packet, Trajectory
+from . import header as headers
+from .codec import Blob, Ledger, pack, pack_series
+from .header import RunHeader
+from .log import Block, LogReader, LogWriter
+
+try:
+    import fcntl
+except ImportError:  # not on this system: a run that was killed looks like one that still grows
+    fcntl = None  # type: ignore[assignment]
+
+HEADER, TRUTH, FRAMES, INDEX, IMAGES, END = (
+    "header.json",
+    "truth.bin",
+    "frames.log",
+    "index.log",
+    "images.log",
+    "end.json",
+)
+FINISHED, INTERRUPTED = "finished", "interrupted"
+
+
+class _End(msgspec.Struct):
+    outcome: str  # FINISHED, INTERRUPTED, or the sentence of the error that ended the run
+    frames: int
+
+
+def is_run(path: str | os.PathLike[str]) -> bool:
+    """Whether a folder is a run rather than a recording."""
+    return (Path(path) / HEADER).is_file()
+
+
+class RunWriter:
+    """Appends frames to a new run.  Raises OutputError when the folder is not empty or cannot be written."""
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        header: RunHeader,
+        truth: Trajectory | None = None,
+        images: ImageSource | None = None,
+    ) -> None:
+        """`images`: where to take the pixels of frames from when the header says that they are embedded."""
+        self.path = Path(path)
+        self._images = images if header.embedded_images else None
+        self._ledger = Ledger()
+        self._create_folder()
+        self._frames = LogWriter(self.path / FRAMES)
+        self._index = LogWriter(self.path / INDEX)
+        self._image_log = LogWriter(self.path / IMAGES) if self._images else None
+        if fcntl:
+            with contextlib.suppress(OSError):  # some network folders cannot lock
+                fcntl.flock(self._frames.fileno(), fcntl.LOCK_EX)
+        if truth is not None:
+            self._write(TRUTH, pack({"truth": truth}))
+        self._write(HEADER, headers.to_json(header))  # last: a folder with a header can be opened
+
+    def append(
+        self, report: FrameReport, timings: Timings, packet: Packet | None = None, state: RunState | None = None
+    ) -> None:
+        """The next frame; with `packet` and `state` (the one after the step) it can be restored and replayed."""
+        if report.frame != len(self):
+            raise ValueError(f"frame {report.frame} cannot follow {len(self) - 1}: frames are numbered from 0")
+        own: dict[str, Any] = {"report": report, "timings": timings}
+        if packet is not None:
+            own["packet"] = packet
+        if self._image_log and self._images:
+            own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
+        payload, self._ledger = pack_series(own, {} if state is None else {"state": state}, self._ledger)
+        block = self._frames.append(payload)
+        self._index.append(pack({"block": block, "summary": summarize(report, timings)}))
+
+    def __len__(self) -> int:
+        return self._ledger.blob
+
+    def close(self, outcome: str = FINISHED) -> None:
+        """Ends the run; `outcome` says how, one sentence when it failed."""
+        if self._frames.closed:
+            return
+        for log in (self._frames, self._index, self._image_log):
+            if log:
+                log.close()
+        self._write(END, msgspec.json.encode(_End(outcome, len(self))))
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, trace: Any) -> None:
+        if problem is None:
+            self.close()
+        else:
+            self.close(f"{problem or kind}" if isinstance(problem, Exception) else INTERRUPTED)
+
+    def _create_folder(self) -> None:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            occupied = any(self.path.iterdir())
+        except OSError as problem:
+            raise OutputError(f"cannot create the run folder {self.path}: {problem.strerror}") from None
+        if occupied:
+            raise OutputError(
+                f"{self.path} is not empty; a run is never overwritten: choose another folder or remove it"
+            )
+
+    def _write(self, name: str, data: bytes) -> None:
+        path = self.path / name
+        partial = path.with_suffix(".part")
+        try:
+            partial.write_bytes(data)
+            partial.replace(path)
+        except OSError as problem:
+            raise OutputError(f"cannot write {path}: {problem.strerror}") from None
+
+
+class RunReader:
+    """Any frame of a run, in any order, by its number.  Safe to use from several threads.
+
+    Raises RunError when `path` is not a run.  Everything it returns is read-only and may be kept.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], keep: int = 64) -> None:
+        """`keep`: how many frames stay in memory."""
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise RunError(f"{self.path} is not a folder; a run is the folder given to `vinspect run --out`")
+        if not is_run(self.path):
+            raise RunError(f"{self.path} is not a run: it has no {HEADER}")
+        self.header = headers.from_json(self._small_file(HEADER), str(self.path / HEADER))
+        self.summaries: list[FrameSummary] = []
+        self._blocks: list[Block] = []
+        self._frames = LogReader(self.path / FRAMES)
+        self._index: LogReader | None = None
+        self._index_end = 0
+        self._images = LogReader(self.path / IMAGES) if (self.path / IMAGES).is_file() else None
+        self._truth: Trajectory | None = None
+        self._refreshing = threading.Lock()
+        self._blob = lru_cache(keep)(self._read_blob)
+        self.report = lru_cache(keep)(self._read_report)
+        self.refresh()
+
+    def __len__(self) -> int:
+        return len(self.summaries)
+
+    def refresh(self) -> int:
+        """Look for frames appended since the last look; returns how many there are."""
+        with self._refreshing:
+            before = len(self)
+            self._follow_index()
+            self._follow_frames()
+            return len(self) - before
+
+    @property
+    def outcome(self) -> str | None:
+        """How the run ended; None while it grows, or when its process was killed."""
+        end = self._end()
+        return end.outcome if end else None
+
+    @property
+    def complete(self) -> bool:
+        """The run ended and every frame of it has been read."""
+        end = self._end()
+        return end is not None and end.frames <= len(self)
+
+    @property
+    def growing(self) -> bool:
+        """Some process still writes it."""
+        if self.outcome is not None or not fcntl:
+            return self.outcome is None
+        try:
+            fcntl.flock(self._frames.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        fcntl.flock(self._frames.fileno(), fcntl.LOCK_UN)
+        return False
+
+    @property
+    def truth(self) -> Trajectory | None:
+        if self._truth is None and (self.path / TRUTH).is_file():
+            try:
+                data = (self.path / TRUTH).read_bytes()
+            except OSError as problem:
+                raise RunError(f"cannot read {self.path / TRUTH}: {problem.strerror}") from None
+            self._truth = Blob(data, str(self.path / TRUTH)).get("truth", Trajectory)
+        return self._truth
+
+    def summary(self, k: int) -> FrameSummary:
+        return self.summaries[self._number(k)]
+
+    def _read_report(self, k: int) -> FrameReport:
+        return self._blob(self._number(k)).get("report", FrameReport)
+
+    def timings(self, k: int) -> Timings:
+        return self.summary(k).ms
+
+    def packet(self, k: int) -> Packet:
+        """What arrived for frame k."""
+        return self._section(k, "packet", Packet)
+
+    def state(self, k: int) -> RunState:
+        """The state after frame k, bit for bit."""
+        return self._section(k, "state", RunState)
+
+    @property
+    def has_images(self) -> bool:
+        """Whether the pixels are in the record; else they must be loaded from the recording."""
+        return self._images is not None
+
+    def load(self, ref: ImageRef) -> np.ndarray:
+        """The grey image of a reference, as an `ImageSource`; RunError when it is not in the record."""
+        if self._images is None:
+            raise RunError(f"{self.path} holds no images: it was made without --embed-images")
+        times = np.array([s.t_ns for s in self.summaries], np.int64)
+        k = int(np.searchsorted(times, ref.t_ns))
+        if k < len(self):
+            for mine, block in zip(self.report(k).images, self._section(k, "images", list[Block]), strict=True):
+                if mine == ref:
+                    return _decode(self._images.read(block), f"{self.path / IMAGES} at byte {block.offset}")
+        raise RunError(f"{self.path} holds no image {ref.index} of camera {ref.camera} at {ref.t_ns} ns")
+
+    def close(self) -> None:
+        for log in (self._frames, self._index, self._images):
+            if log:
+                log.close()
+
+    def __enter__(self) -> RunReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _number(self, k: int) -> int:
+        if not 0 <= k < len(self):
+            raise RunError(f"{self.path} has no frame {k}; it holds {len(self)} frames")
+        return k
+
+    def _section(self, k: int, name: str, kind: Any) -> Any:
+        blob = self._blob(self._number(k))
+        if name not in blob:
+            raise RunError(f"frame {k} of {self.path} was recorded without its {name}")
+        return blob.get(name, kind, lambda back: self._blob(self._number(k - back)))
+
+    def _read_blob(self, k: int) -> Blob:
+        return Blob(self._frames.read(self._blocks[k]), f"frame {k} of {self.path / FRAMES}")
+
+    def _follow_index(self) -> None:
+        """Take new index entries, as long as they are whole and frames.log holds what they promise."""
+        if self._index is None:
+            if not (self.path / INDEX).is_file():
+                return
+            self._index = LogReader(self.path / INDEX)
+        size = self._frames.size()
+        for entry, payload in self._index.scan(self._index_end):
+            try:
+                blob = Blob(payload, str(self.path / INDEX))
+                block, summary = blob.get("block", Block), blob.get("summary", FrameSummary)
+            except RunError:
+                return
+            if summary.frame > len(self) or block.end > size:
+                return
+            self._index_end = entry.end
+            if summary.frame == len(self):
+                self._add(block, summary)
+
+    def _follow_frames(self) -> None:
+        """Take whole frames that the index does not list (yet, or because it was lost)."""
+        for block, payload in self._frames.scan(self._blocks[-1].end if self._blocks else 0):
+            blob = Blob(payload, f"frame {len(self)} of {self.path / FRAMES}")
+            report, timings = blob.get("report", FrameReport), blob.get("timings", Timings)
+            if report.frame != len(self):
+                raise RunError(f"{self.path / FRAMES} holds frame {report.frame} where {len(self)} should be")
+            self._add(block, summarize(report, timings))
+
+    def _add(self, block: Block, summary: FrameSummary) -> None:
+        self._blocks.append(block)
+        self.summaries.append(summary)
+
+    def _end(self) -> _End | None:
+        try:
+            return msgspec.json.decode(self._small_file(END), type=_End)
+        except (RunError, msgspec.MsgspecError, UnicodeDecodeError):
+            return None
+
+    def _small_file(self, name: str) -> bytes:
+        path = self.path / name
+        try:
+            if path.stat().st_size > headers.MAX_HEADER_BYTES:
+                raise RunError(f"{path} is larger than any header of ours; it is not a vinspect run")
+            return path.read_bytes()
+        except OSError as problem:
+            raise RunError(f"cannot read {path}: {problem.strerror}") from None
+
+
+def _encode(image: np.ndarray) -> bytes:
+    import cv2
+
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
+def _decode(data: bytes, where: str) -> np.ndarray:
+    import cv2
+
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise RunError(f"{where} does not hold an image")
+    return image
