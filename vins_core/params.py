@@ -93,6 +93,9 @@ class Init:
     min_parallax_px: Annotated[float, Range(1, 100), Doc("mean parallax between them (seed 004.11: 20)", "px460")] = (
         30.0
     )
+    min_translation_px: Annotated[
+        float, Range(0, 50), Doc("mean parallax left after the best rotation (parity: 0)", "px460")
+    ] = 3.0
     ransac_px: Annotated[
         float, Range(0.05, 5), Doc("relative pose: largest distance to the epipolar line", "px460")
     ] = 0.3
@@ -101,6 +104,12 @@ class Init:
     max_structure_cost: Annotated[
         float, Range(1e-5, 1), Doc("structure: bundle adjustment cost accepted without convergence")
     ] = 5e-3
+    max_reprojection_px: Annotated[
+        float, Range(0.1, 20), Doc("structure: rms reprojection error after bundle adjustment", "px460")
+    ] = 2.0
+    max_rotation_error_deg: Annotated[
+        float, Range(0.01, 180), Doc("rms difference of vision and gyroscope between frames (parity: 180)", "deg")
+    ] = 0.5
     gravity_tolerance: Annotated[
         float, Range(0.05, 5), Doc("largest difference of the estimated gravity's norm", "m/s^2")
     ] = 1.0
