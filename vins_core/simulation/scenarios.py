@@ -1,0 +1,123 @@
+"""The named scenarios: what moves where, what is wrong with it, and what should come of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from ..geometry import se3, so3
+from ..geometry.kannala_brandt import KannalaBrandt
+from ..geometry.pinhole_radtan import PinholeRadtan
+from . import motions, rooms
+from .sensors import Exposure, Imu, Rig
+from .trajectory import Channels
+from .world import World
+
+Interval = tuple[float, float]
+"""[start, end) in seconds after the first IMU sample, true time."""
+
+
+def _looking_forward(
+    q_f_b: np.ndarray, p_b_c: list[float], pitch_deg: float, lean_deg: tuple[float, float]
+) -> np.ndarray:
+    """T_b_c of a camera (z forward, x right) that looks along the vehicle's x axis, pitched down, a little askew."""
+    R_f_c = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    lean = so3.exp(np.radians([lean_deg[0], pitch_deg, lean_deg[1]]))
+    R_b_c = so3.to_matrix(so3.inverse(q_f_b)) @ so3.to_matrix(lean) @ R_f_c
+    return se3.from_rotation_translation(R_b_c, np.array(p_b_c))
+
+
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+UPRIGHT_IMU = so3.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]))  # x up, as on EuRoC
+
+PINHOLE = Rig(
+    PinholeRadtan(376, 240, 229.0, 228.6, 185.2, 121.5, -0.283, 0.0740, 1.9e-4, 1.8e-5),
+    _looking_forward(IDENTITY, [0.08, 0.02, 0.03], 10.0, (0.8, -0.6)),
+    IDENTITY,
+)
+FISHEYE = Rig(
+    KannalaBrandt(360, 360, 110.0, 110.0, 179.2, 180.6, -0.012, 0.004, -0.003, 0.0006),
+    _looking_forward(UPRIGHT_IMU, [0.03, -0.06, 0.01], 10.0, (-0.7, 0.9)),
+    UPRIGHT_IMU,
+)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    doc: str  # what happens, and what an estimator should make of it
+    motion: Callable[[Rig], Channels] = lambda rig: motions.loop()
+    world: Callable[[int], World] = rooms.furnished  # by seed
+    rig: Rig = PINHOLE
+    imu: Imu = field(default_factory=Imu)
+    exposure: Exposure = field(default_factory=Exposure)
+    duration_s: float = 15.0
+    gravity_m_s2: float = 9.81
+    td_s: float = 0.0  # true: t_imu = t_image + td
+    image_dropouts: tuple[Interval, ...] = ()
+    imu_gaps: tuple[Interval, ...] = ()
+    believed_td_s: float = 0.0  # what the calibration says
+    believed_rotation_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of R_b_c, about the camera's axes
+
+
+SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
+    {
+        "room_loop": Scenario(
+            "A lap and a half quarter around a furnished room, hand-held; after 21 s the start is seen again. "
+            "Everything is right: it initialises within 3 s and stays within centimetres.",
+            duration_s=28.0,
+        ),
+        "standstill": Scenario(
+            "Nothing moves. It must not initialise: no parallax and no excitation.",
+            motion=lambda rig: motions.standstill(),
+            duration_s=10.0,
+        ),
+        "pure_rotation": Scenario(
+            "The camera turns about its own centre. There is no parallax: no keyframe by parallax, no initialisation.",
+            motion=lambda rig: motions.pure_rotation(so3.rotate(rig.q_f_b, rig.T_b_c[:3, 3])),
+            duration_s=10.0,
+        ),
+        "constant_velocity": Scenario(
+            "A straight glide without acceleration or rotation for 6 s, then a swaying one. Scale is unobservable "
+            "during the glide; it initialises only afterwards.",
+            motion=lambda rig: motions.constant_velocity(until_s=6.0),
+            duration_s=14.0,
+        ),
+        "image_dropout": Scenario(
+            "The room loop with images missing from 6.0 to 6.3 s, 9.0 to 9.7 s and 13.0 to 14.4 s. The last gap is "
+            "longer than the front end bridges: its tracks start anew.",
+            image_dropouts=((6.0, 6.3), (9.0, 9.7), (13.0, 14.4)),
+            duration_s=18.0,
+        ),
+        "imu_gap": Scenario(
+            "The room loop with the IMU silent from 6.0 to 6.1 s and 10.0 to 10.6 s. Both gaps are reported.",
+            imu_gaps=((6.0, 6.1), (10.0, 10.6)),
+        ),
+        "low_texture": Scenario(
+            "The room loop in a bare white room with faint stains and one picture: few corners, short tracks.",
+            world=rooms.bare,
+        ),
+        "td_offset": Scenario(
+            "The room loop with images stamped 30 ms early, which the calibration does not know.",
+            td_s=0.030,
+        ),
+        "wrong_extrinsic": Scenario(
+            "The room loop with a calibration whose camera is turned by 8 degrees about its x and 5 about its y axis.",
+            believed_rotation_error_deg=(8.0, 5.0, 0.0),
+        ),
+        "rolling_shutter": Scenario(
+            "The room loop with rows read one after another within 25 ms, centred on the stamp.",
+            exposure=Exposure(readout_s=0.025),
+        ),
+        "motion_blur": Scenario(
+            "The room loop exposed for 30 ms an image.",
+            exposure=Exposure(exposure_s=0.030),
+        ),
+        "fisheye": Scenario(
+            "The room loop through a Kannala-Brandt camera of 190 degrees, with an IMU mounted x up.",
+            rig=FISHEYE,
+        ),
+    }
+)

@@ -1,0 +1,139 @@
+"""From a scenario's name to a recording with known truth."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ParameterError
+from ..geometry import so3
+from ..io.messages import ImageMessage, ImuMessage, Message, TruthMessage
+from ..sensors import Calibration, CameraCalibration, ImuSamples, Trajectory
+from .render import Renderer
+from .scenarios import SCENARIOS, Interval, Scenario
+from .sensors import encode_jpeg, expose, sample_imu
+from .trajectory import Motion
+
+T0_NS = 1_700_000_000_000_000_000  # stamp of the first IMU sample
+LEAD_S = 0.1  # the IMU begins this long before the first image and ends as long after the last
+TRUTH_EVERY = 2  # IMU samples
+MAX_DURATION_S = 600.0
+IMAGE_TOPIC, IMU_TOPIC, TRUTH_TOPIC = "/cam0/image_raw", "/imu0", "/groundtruth"
+_IMU_STREAM, _IMAGE_STREAM = 10, 11  # of the seeded randomness
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A recording that renders its images when they are asked for.  Equal arguments give equal bytes."""
+
+    name: str
+    scenario: Scenario
+    seed: int
+    duration_s: float
+    motion: Motion
+    imu: ImuSamples  # after gaps
+    truth: Trajectory  # of the body, on the IMU's clock, with biases
+    image_t_ns: np.ndarray  # (n,) stamps, after dropouts
+    calibration: Calibration  # as the user has it: wrong where the scenario says so
+    true_calibration: Calibration
+    renderer: Renderer
+
+    def image(self, index: int) -> np.ndarray:
+        """(rows, columns) uint8."""
+        t_ns = int(self.image_t_ns[index]) - T0_NS + round(self.scenario.td_s * 1e9)
+        rng = np.random.default_rng([self.seed, _IMAGE_STREAM, t_ns])
+        return expose(self.renderer, self.motion, self.scenario.rig, t_ns * 1e-9, self.scenario.exposure, rng)
+
+    def messages(self) -> Iterator[Message]:
+        """Everything in the order of its stamps; at equal stamps truth, IMU, image."""
+        streams: list[Iterator[Message]] = [self._truth_messages(), self._imu_messages(), self._image_messages()]
+        return heapq.merge(*streams, key=lambda message: message.t_ns)
+
+    def _truth_messages(self) -> Iterator[Message]:
+        truth = self.truth
+        assert truth.v_w_b is not None and truth.b_g is not None and truth.b_a is not None
+        for row in zip(truth.t_ns.tolist(), truth.p_w_b, truth.q_w_b, truth.v_w_b, truth.b_g, truth.b_a):
+            yield TruthMessage(row[0], TRUTH_TOPIC, *row[1:])
+
+    def _imu_messages(self) -> Iterator[Message]:
+        for t_ns, gyro, accel in zip(self.imu.t_ns.tolist(), self.imu.gyro_rad_s, self.imu.accel_m_s2):
+            yield ImuMessage(t_ns, IMU_TOPIC, gyro, accel)
+
+    def _image_messages(self) -> Iterator[Message]:
+        quality = self.scenario.exposure.jpeg_quality
+        for index, t_ns in enumerate(self.image_t_ns.tolist()):
+            yield ImageMessage(t_ns, IMAGE_TOPIC, "jpeg", encode_jpeg(self.image(index), quality))
+
+
+def simulate(name: str, seed: int = 1, duration_s: float | None = None) -> Simulation:
+    """The scenario `name`, with all randomness and the room's pictures from `seed`.
+
+    A shorter `duration_s` cuts the same recording short.  Raises ParameterError.
+    """
+    if name not in SCENARIOS:
+        raise ParameterError(f"unknown scenario {name!r}; expected one of {', '.join(SCENARIOS)}")
+    return build(name, SCENARIOS[name], seed, duration_s)
+
+
+def build(name: str, scenario: Scenario, seed: int = 1, duration_s: float | None = None) -> Simulation:
+    """A scenario of one's own, e.g. `dataclasses.replace(SCENARIOS["room_loop"], td_s=0.01)`."""
+    duration_s = scenario.duration_s if duration_s is None else duration_s
+    if not 2 * LEAD_S < duration_s <= MAX_DURATION_S:
+        raise ParameterError(
+            f"duration {duration_s:g} s of scenario {name!r}: expected more than {2 * LEAD_S:g} s and at most "
+            f"{MAX_DURATION_S:g} s"
+        )
+    if seed < 0:
+        raise ParameterError(f"seed {seed}: expected a whole number of 0 or more")
+    motion = Motion.from_channels(scenario.motion(scenario.rig), duration_s, scenario.rig.q_f_b)
+
+    imu_t_ns = _stamps(0.0, duration_s, scenario.imu.rate_hz)
+    imu, biases = sample_imu(
+        motion, imu_t_ns, scenario.imu, scenario.gravity_m_s2, np.random.default_rng([seed, _IMU_STREAM])
+    )
+    exact = motion.at(imu_t_ns * 1e-9)
+    image_t_ns = _stamps(LEAD_S, duration_s - LEAD_S, scenario.exposure.rate_hz)
+    image_t_ns = image_t_ns[_outside(image_t_ns, scenario.image_dropouts)] - round(scenario.td_s * 1e9)
+    heard = imu[_outside(imu_t_ns, scenario.imu_gaps)]
+    every = slice(None, None, TRUTH_EVERY)
+    return Simulation(
+        name,
+        scenario,
+        seed,
+        duration_s,
+        motion,
+        ImuSamples(heard.t_ns + T0_NS, heard.gyro_rad_s, heard.accel_m_s2),
+        Trajectory(
+            imu_t_ns[every] + T0_NS,
+            exact.p_w_b[every],
+            exact.q_w_b[every],
+            exact.v_w_b[every],
+            biases.b_g_rad_s[every],
+            biases.b_a_m_s2[every],
+        ),
+        image_t_ns + T0_NS,
+        _calibration(scenario, scenario.believed_td_s, scenario.believed_rotation_error_deg),
+        _calibration(scenario, scenario.td_s, (0.0, 0.0, 0.0)),
+        Renderer(scenario.world(seed), scenario.rig.camera),
+    )
+
+
+def _stamps(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:
+    """Relative stamps in ns from `start_s` on, none after `end_s`."""
+    count = int(np.floor((end_s - start_s) * rate_hz + 1e-6)) + 1
+    return np.round((start_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
+
+
+def _outside(t_ns: np.ndarray, intervals: tuple[Interval, ...]) -> np.ndarray:
+    inside = [(t_ns >= round(a * 1e9)) & (t_ns < round(b * 1e9)) for a, b in intervals]
+    return ~np.any(inside, axis=0) if inside else np.ones(len(t_ns), bool)
+
+
+def _calibration(scenario: Scenario, td_s: float, rotation_error_deg: tuple[float, float, float]) -> Calibration:
+    T_b_c = scenario.rig.T_b_c.copy()
+    T_b_c[:3, :3] = T_b_c[:3, :3] @ so3.to_matrix(so3.exp(np.radians(rotation_error_deg)))
+    camera = CameraCalibration("cam0", scenario.rig.camera, T_b_c, IMAGE_TOPIC)
+    return Calibration((camera,), scenario.imu.noise, scenario.gravity_m_s2, td_s, IMU_TOPIC)
