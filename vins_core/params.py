@@ -58,6 +58,10 @@ class Frontend:
         int, Range(1, 10), Doc("images a track must have been seen in before the estimator gets it")
     ] = 2
     max_gap_s: Annotated[float, Range(0.1, 10), Doc("a longer gap between images resets the tracker", "s")] = 1.0
+    min_flow_share: Annotated[float, Range(0, 1), Doc("tracks that flow should find again (advisory)")] = 0.7
+    min_flow_back_share: Annotated[float, Range(0, 1), Doc("found tracks that flow-back should keep (advisory)")] = 0.8
+    min_inlier_share: Annotated[float, Range(0, 1), Doc("tracks that F-RANSAC should keep (advisory)")] = 0.7
+    min_tracks: Annotated[int, Range(0, 500), Doc("tracks a frame should have (advisory)")] = 50
 
 
 @dataclass(frozen=True)

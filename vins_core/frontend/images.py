@@ -1,0 +1,84 @@
+"""The images the tracker looks at: equalised, and kept just long enough to be looked at twice.
+
+Every image is used as the current one and then as the previous one.  Tracker states hold references only; an image
+that is no longer kept is decoded again and gives the same pixels, so keeping some changes speed and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..errors import CalibrationError
+from ..params import Frontend
+from ..sensors import CameraCalibration, ImageRef, ImageSource
+
+
+class EqualizedImages:
+    """An image source that remembers its last few equalised images; one for each thread that steps."""
+
+    def __init__(self, source: ImageSource, capacity: int = 4):
+        self._source = source
+        self._capacity = capacity
+        self._kept: OrderedDict[tuple[ImageRef, bool, float, int], np.ndarray] = OrderedDict()
+
+    def load(self, ref: ImageRef) -> np.ndarray:
+        return self._source.load(ref)
+
+    def equalized(self, ref: ImageRef, params: Frontend) -> np.ndarray:
+        """(rows, columns) uint8, read-only, after CLAHE when `params.equalize` (REFERENCE T3)."""
+        key = (ref, params.equalize, params.clahe_clip, params.clahe_tiles)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        image = self._source.load(ref)
+        if params.equalize:
+            image = cv2.createCLAHE(params.clahe_clip, (params.clahe_tiles, params.clahe_tiles)).apply(image)
+        image = image.view()
+        image.flags.writeable = False
+        self._kept[key] = image
+        if len(self._kept) > self._capacity:
+            self._kept.popitem(last=False)
+        return image
+
+
+def check_size(image: np.ndarray, camera: CameraCalibration, ref: ImageRef) -> None:
+    """Raises CalibrationError when the image cannot come from the calibrated camera."""
+    rows, columns = image.shape
+    if (columns, rows) != (camera.model.width, camera.model.height):
+        raise CalibrationError(
+            f"{camera.topic or camera.name}: image {ref.index} at {ref.t_ns} ns is {columns}x{rows}, but the "
+            f"calibration of {camera.name} says {camera.model.width}x{camera.model.height}; use the calibration of "
+            "this camera at this resolution"
+        )
+
+
+def usable_area(camera: CameraCalibration) -> np.ndarray | None:
+    """The fisheye mask, (rows, columns) uint8 with 255 where tracks may live; None when all of the image is usable."""
+    if not camera.mask:
+        return None
+    mask = _read_mask(camera.mask)
+    if mask.shape != (camera.model.height, camera.model.width):
+        raise CalibrationError(
+            f"mask {camera.mask} is {mask.shape[1]}x{mask.shape[0]}, but {camera.name} gives "
+            f"{camera.model.width}x{camera.model.height} images; the mask must have the size of the images"
+        )
+    return mask
+
+
+@lru_cache(maxsize=4)
+def _read_mask(path: str) -> np.ndarray:
+    try:
+        encoded = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise CalibrationError(f"mask {path} cannot be read: {error.strerror}; check the mask of the camera") from None
+    image = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if len(encoded) else None
+    if image is None:
+        raise CalibrationError(f"mask {Path(path)} is not an image; expected PNG or JPEG, white where usable")
+    mask = np.where(image > 127, np.uint8(255), np.uint8(0))
+    mask.flags.writeable = False
+    return mask

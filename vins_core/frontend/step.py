@@ -1,0 +1,111 @@
+"""The front end on a page: follow every image, and at the frame reject, spread and refill (REFERENCE 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from ..params import Frontend
+from ..report import Gate, LossReason, TrackReport
+from ..sensors import CameraCalibration, ImageSource, Packet
+from ..window.state import Observations
+from .detect import detect_corners, keep_spaced
+from .images import EqualizedImages, check_size, usable_area
+from .ledger import FATES, KEPT, TrackLedger
+from .reject import fundamental_ransac
+from .state import TrackerState
+from .track import follow
+
+
+def track(
+    params: Frontend,
+    camera: CameraCalibration,
+    images: ImageSource,
+    state: TrackerState,
+    packet: Packet,
+    rejected_ids: Collection[int] = (),
+) -> tuple[TrackerState, Observations, TrackReport]:
+    """Carry the tracks through the images of a packet; the last image is the frame the estimator gets.
+
+    Wrap `images` in `EqualizedImages` once and pass that, and each image is decoded and equalised once.  Tracks in
+    `rejected_ids`, the estimator's outliers, are dropped (REFERENCE TF8).  A gap longer than `max_gap_s`, or time that
+    does not advance, drops every track and fails the deciding gate "image interval"; ids are never given twice.
+    Raises CalibrationError when an image or the mask does not have the camera's size.
+    """
+    source = images if isinstance(images, EqualizedImages) else EqualizedImages(images)
+    usable = usable_area(camera)
+    tracks = TrackLedger(state)
+    tracks.drop(np.isin(tracks.ids, list(rejected_ids)), LossReason.OUTLIER)
+    gates = _follow_images(params, camera, source, tracks, packet)
+    if params.f_ransac:
+        gates.append(_reject(params, camera, tracks))
+    tracks.drop(~keep_spaced(tracks.uv_px, params.min_dist, usable), LossReason.MASK)
+    n_old = len(tracks)
+    _refill(params, camera, source.equalized(packet.images[-1], params), usable, tracks)
+    gates.append(Gate("tracks", len(tracks), ">=", params.min_tracks, "frontend.min_tracks", decides=False))
+    report = TrackReport(
+        tracks.ids, tracks.uv_px, tracks.age, tracks.velocity, *tracks.lost(), len(tracks) - n_old, tuple(gates)
+    )
+    return tracks.state_at_frame(), tracks.observations(params.min_track_count), report
+
+
+def _follow_images(
+    params: Frontend, camera: CameraCalibration, images: EqualizedImages, tracks: TrackLedger, packet: Packet
+) -> list[Gate]:
+    """Move the tracks from image to image; those found again are one image older."""
+    n, intervals_s = len(tracks), []
+    for ref in packet.images:
+        image = images.equalized(ref, params)
+        check_size(image, camera, ref)
+        if tracks.image is not None:
+            dt_s = (ref.t_ns - tracks.image.t_ns) * 1e-9
+            intervals_s.append(dt_s if dt_s > 0 else np.nan)
+            if not 0 < dt_s <= params.max_gap_s:
+                n = 0
+                tracks.drop(np.ones(len(tracks), bool), LossReason.RESET)
+        if len(tracks):
+            assert tracks.image is not None
+            uv_px, fate = follow(images.equalized(tracks.image, params), image, tracks.uv_px, params)
+            rays = camera.model.lift(uv_px)
+            fate[(fate == KEPT) & ~np.isfinite(rays).all(1)] = FATES[LossReason.BORDER]  # the lens shows nothing there
+            tracks.end(fate)
+            tracks.move(ref, uv_px[fate == KEPT], rays[fate == KEPT])
+        tracks.image = ref
+
+    flow, back, border = (tracks.count_lost(r) for r in (LossReason.FLOW, LossReason.FLOW_BACK, LossReason.BORDER))
+    gates = [_share("flow found", n - flow, n, params.min_flow_share, "min_flow_share")]
+    if intervals_s:
+        longest_s = float(np.max(intervals_s))
+        gates.insert(0, Gate("image interval", longest_s, "<=", params.max_gap_s, "frontend.max_gap_s", "s"))
+    if params.flow_back:
+        found = n - flow - border
+        gates.append(_share("flow-back agrees", found - back, found, params.min_flow_back_share, "min_flow_back_share"))
+    return gates
+
+
+def _reject(params: Frontend, camera: CameraCalibration, tracks: TrackLedger) -> Gate:
+    """F-RANSAC between the last frame and this one, over the tracks that were in both."""
+    both = np.flatnonzero(np.isfinite(tracks.frame_uv_px).all(1))
+    before = camera.model.lift(tracks.frame_uv_px[both])
+    inlier = fundamental_ransac(before, tracks.rays[both], params.F_threshold, params.F_confidence)
+    n_tested, n_inliers = 0, 0
+    if inlier is not None:
+        n_tested, n_inliers = len(inlier), int(inlier.sum())
+        outlier = np.zeros(len(tracks), bool)
+        outlier[both[~inlier]] = True
+        tracks.drop(outlier, LossReason.RANSAC)
+    return _share("F-RANSAC inliers", n_inliers, n_tested, params.min_inlier_share, "min_inlier_share")
+
+
+def _refill(
+    params: Frontend, camera: CameraCalibration, image: np.ndarray, usable: np.ndarray | None, tracks: TrackLedger
+) -> None:
+    corners_px = detect_corners(image, params.max_cnt - len(tracks), tracks.uv_px, params, usable)
+    rays = camera.model.lift(corners_px)
+    seen = np.isfinite(rays).all(1)
+    tracks.add(corners_px[seen], rays[seen])
+
+
+def _share(name: str, n: int, of: int, limit: float, knob: str) -> Gate:
+    return Gate(name, n / of if of else None, ">=", limit, f"frontend.{knob}", decides=False)
