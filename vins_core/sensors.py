@@ -48,6 +48,7 @@ class ImageRef:
     t_ns: int
     camera: int  # index into Calibration.cameras
     index: int  # running number of this camera's images in the recording
+    locator: int = 0  # what its reader needs to find it at once: a bag's record time in ns; folders need none
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,85 @@
+"""Calibration and settings files of any known format, read into one `Settings`.
+
+Nothing is guessed in silence: a missing number is an error that names file and key, a number that a format cannot
+hold is taken with a note, and every key that was not used is noted with the reason.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import CalibrationError
+from ..sensors import Calibration
+from . import euroc_yaml, kalibr_yaml, own_yaml, vins_yaml
+from .asl import AslRecording
+from .recording import Recording
+from .yaml_file import Keys, read_yaml
+
+FORMATS = (
+    "a VINS-Mono or VINS-Fusion config, Kalibr's camchain and imu files, EuRoC sensor.yaml files or vinspect's own"
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a run needs to know before it starts."""
+
+    calibration: Calibration
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    """`section.name -> value` from the file's tuning keys; `--set` wins over them."""
+    notes: tuple[str, ...] = ()
+    """One sentence for each key that was ignored and each number that was assumed."""
+
+
+def read_calibration(paths: Sequence[Path | str], recording: Recording | None = None) -> Settings:
+    """Settings from one file (two for Kalibr); none for EuRoC folders, which hold their own.
+
+    With a recording, names the topics it uses where the files do not.  Raises CalibrationError.
+    """
+    files = [Keys(Path(p), read_yaml(Path(p))) for p in paths]
+    if not files:
+        settings = _from_recording(recording)
+    elif len(files) == 1 and own_yaml.recognizes(files[0]):
+        settings = Settings(*own_yaml.read(files[0]))
+    elif len(files) == 1 and vins_yaml.recognizes(files[0]):
+        settings = Settings(*vins_yaml.read(files[0]))
+    elif any(kalibr_yaml.recognizes(f) for f in files):
+        settings = Settings(*kalibr_yaml.read(files))
+    elif all(euroc_yaml.recognizes(f) for f in files):
+        settings = Settings(*euroc_yaml.read(files))
+    elif len(files) == 1 and "model_type" in files[0]:
+        raise CalibrationError(
+            f"{files[0].path}: describes a camera only; give the VINS config that names it (with imu_topic, acc_n, ...)"
+        )
+    else:
+        names = ", ".join(str(f.path) for f in files)
+        raise CalibrationError(f"{names}: unknown calibration format; expected {FORMATS}")
+    return settings if recording is None else _with_topics(settings, recording)
+
+
+def _from_recording(recording: Recording | None) -> Settings:
+    if not isinstance(recording, AslRecording):
+        where = f"{recording.path}: " if recording else ""
+        raise CalibrationError(f"{where}a calibration is needed for this recording; give {FORMATS} with --calib")
+    folders = [recording.folder(topic) for topic in (recording.image_topics[0], recording.imu_topic)]
+    files = [Keys(folder / "sensor.yaml", read_yaml(folder / "sensor.yaml")) for folder in folders]
+    settings = Settings(*euroc_yaml.read(files))
+    unused = [s.topic for s in recording.of_role("image")[1:]]
+    notes = [f"{', '.join(unused)} not used: one camera is supported so far"] if unused else []
+    return dataclasses.replace(settings, notes=(*settings.notes, *notes))
+
+
+def _with_topics(settings: Settings, recording: Recording) -> Settings:
+    """The topics in use, by the files' names or else the recording's only ones."""
+    calibration = settings.calibration
+    recording.use(calibration)
+    cameras = tuple(
+        dataclasses.replace(camera, topic=topic) for camera, topic in zip(calibration.cameras, recording.image_topics)
+    )
+    calibration = dataclasses.replace(calibration, cameras=cameras, imu_topic=recording.imu_topic)
+    recording.use(calibration)
+    return dataclasses.replace(settings, calibration=calibration)

@@ -1,0 +1,89 @@
+"""Pixels of image messages: any encoding to grey, and bytes a browser can show."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ..errors import RecordingError
+from .messages import ImageMessage
+
+MIME = {"jpeg": "image/jpeg", "png": "image/png"}
+
+TO_GREY = {
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+    # OpenCV names a Bayer pattern by its second row, ROS by its first
+    "bayer_rggb8": cv2.COLOR_BayerBG2GRAY,
+    "bayer_bggr8": cv2.COLOR_BayerRG2GRAY,
+    "bayer_gbrg8": cv2.COLOR_BayerGR2GRAY,
+    "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
+}
+CHANNELS = {"mono8": 1, "8UC1": 1, "mono16": 1, "16UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
+CHANNELS |= {name: 1 for name in TO_GREY if name.startswith("bayer")}
+
+
+def depth_bytes(encoding: str) -> int:
+    """Bytes per channel of a raw encoding."""
+    return 2 if "16" in encoding else 1
+
+
+def grey(message: ImageMessage, source: str) -> np.ndarray:
+    """Grey image (rows, columns) uint8.  16 bits are scaled by 1/257, colour by the BT.601 luma.
+
+    A JPEG gives its own luma, so that no rounding depends on a detour over colours.
+    """
+    if isinstance(message.data, np.ndarray):
+        return _raw_grey(message.format, message.data, message, source)
+    flags = cv2.IMREAD_GRAYSCALE if message.format == "jpeg" else cv2.IMREAD_UNCHANGED
+    data = np.frombuffer(message.data, np.uint8)
+    try:
+        pixels = cv2.imdecode(data, flags) if len(data) else None
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise RecordingError(
+            f"{source}: the image of {message.topic} at {message.t_ns} ns cannot be read: "
+            f"{len(data)} bytes that are no complete {message.format.upper()}"
+        )
+    depth = 16 if pixels.dtype == np.uint16 else 8
+    encoding = {1: f"mono{depth}", 3: "bgr8", 4: "bgra8"}[1 if pixels.ndim == 2 else pixels.shape[2]]
+    if depth == 16 and pixels.ndim == 3:
+        pixels = _to_8_bits(pixels)
+    return _raw_grey(encoding, pixels, message, source)
+
+
+def _raw_grey(encoding: str, pixels: np.ndarray, message: ImageMessage, source: str) -> np.ndarray:
+    if encoding in ("mono16", "16UC1"):
+        return _to_8_bits(pixels)
+    if encoding in ("mono8", "8UC1"):
+        return pixels
+    code = TO_GREY.get("bgr8" if encoding == "8UC3" else encoding)
+    if code is None:
+        raise RecordingError(
+            f"{source}: the image of {message.topic} at {message.t_ns} ns has encoding {encoding!r}; "
+            f"expected one of {', '.join(CHANNELS)}"
+        )
+    return np.asarray(cv2.cvtColor(pixels, code))
+
+
+def _to_8_bits(pixels: np.ndarray) -> np.ndarray:
+    return ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
+def for_browser(message: ImageMessage, source: str) -> tuple[str, bytes]:
+    """(mime type, bytes)."""
+    if isinstance(message.data, bytes) and message.format in MIME:
+        return MIME[message.format], message.data
+    done, data = cv2.imencode(".jpg", grey(message, source), [cv2.IMWRITE_JPEG_QUALITY, 90])
+    assert done
+    return MIME["jpeg"], data.tobytes()
+
+
+def sniff(data: bytes) -> str:
+    """Format of encoded bytes by their signature: "jpeg", "png", or "" when it is neither."""
+    if data[:2] == b"\xff\xd8":
+        return "jpeg"
+    return "png" if data[:4] == b"\x89PNG" else ""

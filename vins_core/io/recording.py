@@ -1,0 +1,284 @@
+"""A recording: what is in it, its samples in time order, and its images one at a time.
+
+`open_recording` reads only the table of contents; everything else is read when asked for and never kept.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..sensors import Calibration, GpsFix, ImageRef, ImuSamples, Trajectory
+from . import images
+from .messages import GpsMessage, ImageMessage, ImuMessage, Message, TruthMessage
+from .trajectory import from_messages
+
+Role = Literal["image", "imu", "gps", "truth", "depth", "other"]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One topic of a recording.  Stamps are those of the message headers."""
+
+    topic: str
+    type: str
+    role: Role
+    count: int
+    first_ns: int | None
+    last_ns: int | None
+
+    @property
+    def rate_hz(self) -> float | None:
+        if self.first_ns is None or self.last_ns is None or self.last_ns <= self.first_ns:
+            return None
+        return (self.count - 1) / (self.last_ns - self.first_ns) * 1e9
+
+
+@dataclass(frozen=True)
+class TopicChoice:
+    """Topics to use where the types alone leave a choice; empty means "the only one there is"."""
+
+    images: tuple[str, ...] = ()
+    imu: str = ""
+    truth: str = ""
+    gps: str = ""
+
+    @staticmethod
+    def of(calibration: Calibration) -> TopicChoice:
+        named = tuple(c.topic for c in calibration.cameras)
+        return TopicChoice(images=named if all(named) else (), imu=calibration.imu_topic)
+
+
+@dataclass(frozen=True)
+class ImageStub:
+    """An image met while scanning: where it is, not its pixels."""
+
+    t_ns: int
+    topic: str
+    index: int
+    locator: int
+
+
+Item = ImageStub | ImuMessage | TruthMessage | GpsMessage
+"""What a scan yields."""
+
+RANK: dict[type, int] = {ImuMessage: 0, GpsMessage: 1, TruthMessage: 2, ImageStub: 3}
+
+
+def time_order(item: Item) -> tuple[int, int]:
+    """At equal stamps the IMU comes before the image, whatever the order in the file."""
+    return item.t_ns, RANK[type(item)]
+
+
+class Recording(ABC):
+    """Base of all readers; a reader supplies `streams`, `_scan` and `_image`.
+
+    One thread may iterate while others call `load` and `encoded`.
+    """
+
+    kind: str
+
+    def __init__(self, path: Path, topics: TopicChoice | Calibration | None = None) -> None:
+        self.path = path
+        self.streams: tuple[Stream, ...] = ()
+        self.choice = TopicChoice()
+        if topics is not None:
+            self.use(topics)
+
+    # -- what is in it -----------------------------------------------------------------------------------------------
+
+    def use(self, topics: TopicChoice | Calibration) -> Self:
+        """Choose topics by name, e.g. those a calibration names; takes effect for all later calls."""
+        self.choice = TopicChoice.of(topics) if isinstance(topics, Calibration) else topics
+        return self
+
+    def stream(self, topic: str) -> Stream:
+        return next(s for s in self.streams if s.topic == topic)
+
+    def of_role(self, role: Role) -> tuple[Stream, ...]:
+        return tuple(s for s in self.streams if s.role == role and s.count)
+
+    @property
+    def image_topics(self) -> tuple[str, ...]:
+        """The topic of each camera, in the order of Calibration.cameras."""
+        if self.choice.images:
+            return tuple(self._named("image", topic) for topic in self.choice.images)
+        return (self._only("image", self._default("image")),)
+
+    @property
+    def imu_topic(self) -> str:
+        return self._named("imu", self.choice.imu) if self.choice.imu else self._only("imu")
+
+    @property
+    def truth_topic(self) -> str | None:
+        """None when there is no truth.  Full poses win over bare positions."""
+        if self.choice.truth:
+            return self._named("truth", self.choice.truth)
+        candidates = self.of_role("truth")
+        poses = [s for s in candidates if not s.type.endswith("PointStamped")]
+        return self._only("truth", poses or candidates) if candidates else None
+
+    @property
+    def gps_topic(self) -> str | None:
+        if self.choice.gps:
+            return self._named("gps", self.choice.gps)
+        return self._only("gps") if self.of_role("gps") else None
+
+    def _default(self, role: Role) -> tuple[Stream, ...]:
+        """The streams among which a role is unambiguous; formats that number their sensors take the first."""
+        return self.of_role(role)
+
+    def _named(self, role: Role, topic: str) -> str:
+        wanted = topic.strip("/").removesuffix("/compressed")
+        streams = self.of_role(role)
+        exact = [s.topic for s in streams if s.topic == topic]
+        alike = exact or [s.topic for s in streams if s.topic.strip("/").removesuffix("/compressed") == wanted]
+        if alike:
+            return alike[0]
+        there = ", ".join(f"{s.topic} ({s.type})" for s in streams) or f"no {role} topic at all"
+        raise RecordingError(
+            f"{self.path}: there is no {role} topic {topic}; the recording has {there}: "
+            f"name one of its topics as {role}_topic in the calibration file"
+        )
+
+    def _only(self, role: Role, candidates: Collection[Stream] | None = None) -> str:
+        candidates = self.of_role(role) if candidates is None else candidates
+        if len(candidates) == 1:
+            return next(iter(candidates)).topic
+        if not candidates:
+            there = ", ".join(f"{s.topic} ({s.type})" for s in self.streams) or "nothing"
+            raise RecordingError(f"{self.path}: there is no {role} topic; the recording has {there}")
+        names = ", ".join(s.topic for s in candidates)
+        raise RecordingError(
+            f"{self.path}: {len(candidates)} {role} topics ({names}); "
+            f"choose one by naming it as {role}_topic in the calibration file"
+        )
+
+    # -- samples in time order ---------------------------------------------------------------------------------------
+
+    def events(self) -> Iterator[ImuMessage | ImageRef]:
+        """IMU samples and images (without pixels) of the chosen topics, merged by (stamp, kind), streaming.
+
+        Each topic keeps the order of its file, so that a stamp that goes back is seen to go back.
+        """
+        cameras = {topic: i for i, topic in enumerate(self.image_topics)}
+        for item in self._scan([self.imu_topic, *cameras]):
+            if isinstance(item, ImageStub):
+                yield ImageRef(item.t_ns, cameras[item.topic], item.index, item.locator)
+            elif isinstance(item, ImuMessage):
+                yield item
+
+    def imu(self) -> ImuSamples:
+        """All samples of the chosen IMU, as they are in the file."""
+        samples = [m for m in self._scan([self.imu_topic]) if isinstance(m, ImuMessage)]
+        if not samples:
+            return ImuSamples.empty()
+        return ImuSamples(
+            np.array([m.t_ns for m in samples], np.int64),
+            np.array([m.gyro_rad_s for m in samples]),
+            np.array([m.accel_m_s2 for m in samples]),
+        )
+
+    def images(self, camera: int = 0) -> Iterator[ImageRef]:
+        for item in self._scan([self.image_topics[camera]]):
+            if isinstance(item, ImageStub):
+                yield ImageRef(item.t_ns, camera, item.index, item.locator)
+
+    def truth(self) -> Trajectory | None:
+        """The recording's own ground truth, None without one."""
+        topic = self.truth_topic
+        if topic is None:
+            return None
+        return from_messages(m for m in self._scan([topic]) if isinstance(m, TruthMessage))
+
+    def gps(self) -> list[GpsFix]:
+        topic = self.gps_topic
+        fixes = (m for m in self._scan([topic]) if isinstance(m, GpsMessage)) if topic else ()
+        return [
+            GpsFix(m.t_ns, m.latitude_deg, m.longitude_deg, m.altitude_m, m.covariance_enu_m2, m.status) for m in fixes
+        ]
+
+    def messages(self) -> Iterator[Message]:
+        """Everything that can be written again: all cameras, IMUs, GPS receivers and ground truths."""
+        topics = [s.topic for s in self.streams if s.role in ("image", "imu", "gps", "truth") and s.count]
+        for item in self._scan(topics):
+            yield self._image(item) if isinstance(item, ImageStub) else item
+
+    # -- images ------------------------------------------------------------------------------------------------------
+
+    def load(self, ref: ImageRef) -> np.ndarray:
+        """Grey image (rows, columns) uint8; raises RecordingError when it cannot be read."""
+        return images.grey(self._find(ref), str(self.path))
+
+    def encoded(self, ref: ImageRef) -> tuple[str, bytes]:
+        """(mime type, bytes) for a browser: the stored JPEG or PNG as it is, anything else as JPEG."""
+        return images.for_browser(self._find(ref), str(self.path))
+
+    def _find(self, ref: ImageRef) -> ImageMessage:
+        topics = self.image_topics
+        if not 0 <= ref.camera < len(topics):
+            raise RecordingError(f"{self.path}: there is no camera {ref.camera}; {len(topics)} topic(s) are chosen")
+        return self._image(ImageStub(ref.t_ns, topics[ref.camera], ref.index, ref.locator))
+
+    # -- what a reader supplies --------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _scan(self, topics: Collection[str]) -> Iterator[Item]:
+        """Items of these topics merged by `time_order`."""
+
+    @abstractmethod
+    def _image(self, stub: ImageStub) -> ImageMessage:
+        """The image itself; raises RecordingError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release files; nothing may be read afterwards."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_recording(path: Path | str, topics: TopicChoice | Calibration | None = None) -> Recording:
+    """Open a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder (mav0 or its parent)."""
+    from .asl import AslRecording, find_mav0
+    from .rosbag import BagRecording  # type: ignore[import-not-found]
+
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder")
+    if path.is_file():
+        if path.suffix in (".bag", ".db3", ".mcap"):
+            return BagRecording(path, topics)
+        raise RecordingError(
+            f"{path}: not a recording; expected a ROS 1 .bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder "
+            "that holds mav0"
+        )
+    if (path / "metadata.yaml").exists():
+        return BagRecording(path, topics)
+    root = find_mav0(path)
+    if root is not None:
+        return AslRecording(path, root, topics)
+    inside = sorted(p for p in path.iterdir() if p.suffix in (".bag", ".db3", ".mcap"))
+    if any(p.suffix != ".bag" for p in inside):
+        raise RecordingError(
+            f"{path}: metadata.yaml is missing from this ROS 2 bag; rebuild it with `ros2 bag reindex {path}`, "
+            f"or open {inside[0].name} itself"
+        )
+    if inside:
+        raise RecordingError(f"{path}: a folder with bags; open one of them: {', '.join(p.name for p in inside)}")
+    what = "an empty folder" if not any(path.iterdir()) else "no recording in this folder"
+    raise RecordingError(
+        f"{path}: {what}; expected mav0 with cam0/data.csv and imu0/data.csv (EuRoC), or metadata.yaml (ROS 2)"
+    )

@@ -1,0 +1,207 @@
+"""From a recording to packets: which images are frames, and the IMU samples between them (REFERENCE T2, S1-S3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..errors import CalibrationError, RecordingError
+from ..params import Params
+from ..sensors import Anomaly, Calibration, ImageRef, ImuSamples, Packet
+from .anomalies import ImuWatch, StampWatch
+from .messages import ImuMessage
+from .recording import Recording
+
+LEAD_IN_NS = 10 * 10**9
+"""How much IMU before its frame the first packet holds at most."""
+
+
+class FrequencyControl:
+    """T2: an image becomes a frame while the achieved rate stays at or below `freq`; depends on stamps alone.
+
+    With n frames (counting from 1) since a clock of t0, an image at t is one when round(n / (t - t0)) <= freq.  When
+    the achieved rate is within 1 % of freq the clock restarts at t.  The first image only sets the clock.
+    """
+
+    def __init__(self, freq: float, max_gap_s: float) -> None:
+        self.freq = freq
+        self.max_gap_ns = round(max_gap_s * 1e9)
+        self.clock_ns: int | None = None
+        self.last_ns = 0
+        self.count = 1
+
+    def is_due(self, t_ns: int) -> bool:
+        """Whether the image at t_ns shall be a frame; call once per image, in order."""
+        gap = self.clock_ns is not None and t_ns - self.last_ns > self.max_gap_ns
+        self.last_ns = t_ns
+        if self.clock_ns is None or gap:
+            self.clock_ns, self.count = t_ns, 1
+            return False
+        return math.floor(self._rate(t_ns) + 0.5) <= self.freq  # halves round up, as in C
+
+    def publish(self, t_ns: int) -> None:
+        """The image at t_ns has become a frame."""
+        if abs(self._rate(t_ns) - self.freq) < 0.01 * self.freq:
+            self.clock_ns, self.count = t_ns, 0
+        self.count += 1
+
+    def _rate(self, t_ns: int) -> float:
+        assert self.clock_ns is not None
+        return self.count / ((t_ns - self.clock_ns) * 1e-9)
+
+
+class ImuQueue:
+    """IMU samples that later packets still need."""
+
+    def __init__(self) -> None:
+        self._t_ns: list[int] = []
+        self._values: list[np.ndarray] = []
+        self._after_gap: list[bool] = []
+
+    def append(self, sample: ImuMessage, after_gap: bool) -> None:
+        self._t_ns.append(sample.t_ns)
+        self._values.append(np.concatenate([sample.gyro_rad_s, sample.accel_m_s2]))
+        self._after_gap.append(after_gap)
+
+    def reaches(self, t_ns: int) -> bool:
+        return bool(self._t_ns) and self._t_ns[-1] >= t_ns
+
+    def starts_after(self, t_ns: int) -> bool:
+        return bool(self._t_ns) and self._t_ns[0] > t_ns
+
+    def in_gap(self, t_ns: int) -> bool:
+        """Whether samples are missing around a time that the queue reaches."""
+        i = int(np.searchsorted(self._t_ns, t_ns))
+        return self._t_ns[i] != t_ns and self._after_gap[i]
+
+    def cut(self, t_ns: int) -> ImuSamples:
+        """All samples up to t_ns, the last one interpolated there if need be; it stays as the next one's first."""
+        i = int(np.searchsorted(self._t_ns, t_ns))
+        if self._t_ns[i] != t_ns:
+            t0, t1 = self._t_ns[i - 1], self._t_ns[i]
+            w = (t_ns - t0) / (t1 - t0)
+            self._t_ns.insert(i, t_ns)
+            self._values.insert(i, (1.0 - w) * self._values[i - 1] + w * self._values[i])
+            self._after_gap.insert(i, self._after_gap[i])
+        values = np.array(self._values[: i + 1])
+        samples = ImuSamples(np.array(self._t_ns[: i + 1], np.int64), values[:, :3].copy(), values[:, 3:].copy())
+        self._forget(i)
+        return samples
+
+    def forget_before(self, t_ns: int) -> None:
+        """Drop what is older, but keep the last sample at or before t_ns."""
+        if self._t_ns and self._t_ns[0] < t_ns:
+            self._forget(max(int(np.searchsorted(self._t_ns, t_ns, "right")) - 1, 0))
+
+    def _forget(self, n: int) -> None:
+        del self._t_ns[:n], self._values[:n], self._after_gap[:n]
+
+
+def packets(
+    recording: Recording,
+    calibration: Calibration,
+    params: Params,
+    start_s: float | None = None,
+    duration_s: float | None = None,
+) -> Iterator[Packet]:
+    """Frames with their IMU, streaming; `start_s` and `duration_s` count from the first image.
+
+    Uses the topics that the calibration names.  Raises RecordingError when images and IMU do not overlap and
+    CalibrationError when the images have another size than the calibrated camera, both before the first packet.
+    """
+    recording.use(calibration)
+    td_ns = round(calibration.td_s * 1e9)
+    first = _check(recording, calibration, td_ns)
+    start_ns = first.t_ns + round((start_s or 0.0) * 1e9)
+    stop_ns = None if duration_s is None else start_ns + round(duration_s * 1e9)
+    return _packets(recording, params, td_ns, start_ns, stop_ns)
+
+
+def _check(recording: Recording, calibration: Calibration, td_ns: int) -> ImageRef:
+    """The first image, once it is clear that the recording and the calibration go together."""
+    images, imu = recording.stream(recording.image_topics[0]), recording.stream(recording.imu_topic)
+    assert images.first_ns and images.last_ns and imu.first_ns and imu.last_ns
+    if imu.last_ns < images.first_ns + td_ns or imu.first_ns > images.last_ns + td_ns:
+        raise RecordingError(
+            f"{recording.path}: {imu.topic} ({_span(imu.first_ns, imu.last_ns)}) and {images.topic} "
+            f"({_span(images.first_ns, images.last_ns)}) do not overlap in time: "
+            "check that both are stamped by the same clock, and td in the calibration"
+        )
+    first = next(recording.images(0))
+    rows, columns = recording.load(first).shape
+    model = calibration.cameras[0].model
+    if (columns, rows) != (model.width, model.height):
+        raise CalibrationError(
+            f"{recording.path}: images of {images.topic} are {columns}x{rows}, but the calibration "
+            f"({', '.join(calibration.sources) or 'given'}) is for {model.width}x{model.height}; "
+            "use the calibration of this camera at this resolution"
+        )
+    return first
+
+
+def _packets(recording: Recording, params: Params, td_ns: int, start_ns: int, stop_ns: int | None) -> Iterator[Packet]:
+    image_stream, imu_stream = recording.stream(recording.image_topics[0]), recording.stream(recording.imu_topic)
+    image_watch = StampWatch(image_stream.topic, image_stream.rate_hz, "dropped_image", gap_factor=1.6)
+    imu_watch = ImuWatch(imu_stream.topic, imu_stream.rate_hz)
+    control = FrequencyControl(params.frontend.freq, params.frontend.max_gap_s)
+    queue = ImuQueue()
+    waiting: list[ImageRef] = []  # images whose IMU has not come yet
+    images: list[ImageRef] = []  # images since the last frame
+    anomalies: list[Anomaly] = []
+    ready: Packet | None = None  # held back by one, so that what is found after the last frame is not lost
+    frame = 0
+
+    for event in recording.events():
+        if isinstance(event, ImuMessage):
+            if imu_watch.see_sample(event):
+                queue.append(event, imu_watch.after_gap)
+        else:
+            if stop_ns is not None and event.t_ns > stop_ns:
+                break
+            if event.t_ns >= start_ns and image_watch.see(event.t_ns):
+                waiting.append(event)
+        if frame == 0:
+            oldest = waiting[0].t_ns + td_ns if waiting else event.t_ns
+            queue.forget_before(oldest - LEAD_IN_NS)
+        while waiting and queue.reaches(waiting[0].t_ns + td_ns):
+            image = waiting.pop(0)
+            anomalies += imu_watch.take() + image_watch.take()
+            t_imu = image.t_ns + td_ns
+            if queue.starts_after(t_imu):
+                anomalies.append(_without_imu(image, image_stream.topic, "the IMU begins later; it is left out"))
+                continue
+            images.append(image)
+            if not control.is_due(image.t_ns):
+                continue
+            if queue.in_gap(t_imu):
+                anomalies.append(
+                    _without_imu(image, image_stream.topic, "samples are missing there; it is only tracked")
+                )
+                continue
+            control.publish(image.t_ns)
+            if ready:
+                yield ready
+            ready = Packet(frame, tuple(images), queue.cut(t_imu), tuple(anomalies))
+            frame += 1
+            images, anomalies = [], []
+
+    anomalies += imu_watch.take() + image_watch.take()
+    if waiting:
+        anomalies.append(_without_imu(waiting[0], image_stream.topic, f"it ends before {len(waiting)} images"))
+    if ready is None:
+        raise RecordingError(
+            f"{recording.path}: no image of {image_stream.topic} in the chosen time has IMU samples on both sides; "
+            f"{imu_stream.topic} covers {_span(imu_stream.first_ns, imu_stream.last_ns)}: "
+            "check --start, --duration and td"
+        )
+    yield Packet(ready.frame, ready.images, ready.imu, ready.anomalies + tuple(anomalies))
+
+
+def _without_imu(image: ImageRef, topic: str, why: str) -> Anomaly:
+    return Anomaly("no_imu", image.t_ns, topic, f"the image of {topic} at {image.t_ns} ns has no IMU: {why}")
+
+
+def _span(first_ns: int | None, last_ns: int | None) -> str:
+    return "no samples" if first_ns is None or last_ns is None else f"{first_ns * 1e-9:.3f} to {last_ns * 1e-9:.3f} s"
