@@ -1,0 +1,161 @@
+"""The style sheet of the panels, installed once when a page opens.
+
+Class names start with `vi`.  The zoom of the camera image and the playhead are CSS variables on the root, so that
+they survive new content: `--vi-x`, `--vi-y` (px), `--vi-z`, `--vi-head` (0..1).
+"""
+
+from __future__ import annotations
+
+from .palette import AGE_RAMP, BAD, CANDIDATE, ESTIMATE, GROUND, IMU, LINE, MUTED, OK, PRIOR, RAISED, SELECTION
+from .palette import STRONG, SUNKEN, TEXT
+
+FONT = "Inter,-apple-system,'Segoe UI',Roboto,'Helvetica Neue','Liberation Sans',Arial,sans-serif"
+MONO = "'JetBrains Mono',Menlo,Consolas,'Liberation Mono','DejaVu Sans Mono',monospace"
+
+_BASE = f"""
+:root{{--vi-x:0px;--vi-y:0px;--vi-z:1;--vi-head:0}}
+.vi{{font:12px/1.4 {FONT};font-variant-numeric:tabular-nums;color:{TEXT};padding:0 10px 8px;letter-spacing:0}}
+.vi *,.vi-tip *{{box-sizing:border-box}}
+.vi b{{color:{STRONG};font-weight:600}}
+.vi svg{{display:block}}
+.vi-muted{{color:{MUTED}}}
+.vi-bad{{color:{BAD}}} .vi-ok{{color:{OK}}}
+.vi-unit{{color:{MUTED};font-size:11px}}
+.vi-link{{color:{ESTIMATE};cursor:pointer;text-decoration:none}}
+.vi-link:hover{{text-decoration:underline}}
+.vi-term[data-tip]{{cursor:help}}
+.vi-term[data-tip]:hover{{color:{STRONG}}}
+.vi-row{{display:flex;gap:6px;align-items:center;flex-wrap:wrap}}
+.vi-h{{display:flex;justify-content:space-between;align-items:baseline;gap:10px;margin:14px 0 6px;font-size:11px;
+ letter-spacing:.06em;text-transform:uppercase;color:{MUTED};font-weight:600}}
+.vi>.vi-h:first-child{{margin-top:8px}}
+.vi-note{{text-transform:none;letter-spacing:0;font-weight:400;text-align:right}}
+.vi-p{{margin:4px 0 6px}}
+.vi-key{{font:600 11px/1.3 {FONT};color:{STRONG};background:{RAISED};border:1px solid #4A515C;border-bottom-width:2px;
+ border-radius:4px;padding:0 5px}}
+.vi-empty{{margin:6px 0;padding:12px 14px;border:1px dashed {LINE};border-radius:6px;line-height:1.55}}
+.vi-empty .vi-key{{margin:0 1px}}
+"""
+
+_CHIPS = f"""
+.vi-chip{{display:inline-flex;align-items:baseline;gap:4px;background:{RAISED};border-radius:4px;padding:1px 7px;
+ white-space:nowrap;color:#C6CCD4}}
+.vi-chip[data-tip]{{cursor:help}}
+.vi-chip.vi-ok{{background:#143D30;color:#7FE8C0}} .vi-chip.vi-bad{{background:#4A2117;color:#FFB49E}}
+.vi-chip.vi-est{{background:#14364A;color:#9DD8F7}} .vi-chip.vi-imu{{background:#44340F;color:#FFD57A}}
+.vi-chip.vi-prior{{background:#38205A;color:#DDBBFF}} .vi-chip.vi-sel{{background:#3D3B18;color:{SELECTION}}}
+.vi-chip.vi-quiet{{background:none;padding:1px 0;color:{MUTED}}}
+.vi-chip.vi-ok b,.vi-chip.vi-bad b,.vi-chip.vi-est b{{color:inherit}}
+"""
+
+_TABLES = f"""
+.vi-table{{border-collapse:collapse;width:100%}}
+.vi-table td,.vi-table th{{padding:2px 6px;text-align:left;border-bottom:1px solid #2B3038;white-space:nowrap}}
+.vi-table th{{color:{MUTED};font-weight:500;font-size:11px}}
+.vi-table .vi-n{{text-align:right}} .vi-table .vi-wide{{width:40%}}
+.vi-table td:first-child,.vi-table th:first-child{{padding-left:4px}}
+.vi-click{{cursor:pointer}} .vi-click:hover td{{background:#2C333D}}
+.vi-table tr.vi-now td{{background:#3A3A1C}} .vi-table tr.vi-dim td{{color:{MUTED}}}
+.vi-facts{{display:grid;grid-template-columns:max-content 1fr;gap:2px 14px;margin:0}}
+.vi-facts dt{{color:{MUTED}}} .vi-facts dd{{margin:0;color:{TEXT}}}
+.vi-bar{{position:relative;height:10px;background:{SUNKEN};border-radius:3px;overflow:hidden;min-width:48px}}
+.vi-bar i{{position:absolute;left:0;top:0;bottom:0;border-radius:3px}}
+.vi-stack{{display:flex;height:12px;border-radius:3px;overflow:hidden;gap:1px}}
+.vi-stack i{{height:100%}}
+.vi-costs{{display:grid;grid-template-columns:max-content 1fr max-content;gap:4px 10px;align-items:center}}
+.vi-costs .vi-n{{text-align:right}}
+"""
+
+_GATES = f"""
+.vi-gates{{display:grid;grid-template-columns:14px minmax(90px,1fr) minmax(60px,max-content) minmax(110px,1.15fr);
+ gap:0 9px;align-items:center;margin:2px 0 4px}}
+.vi-gates>.vi-rule{{grid-column:1/-1;height:1px;background:#2B3038;margin:5px 0}}
+.vi-gates .vi-val{{text-align:right;color:{STRONG};font-weight:600;white-space:nowrap}}
+.vi-gates .vi-val .vi-unit{{font-weight:400}}
+.vi-gates .vi-behind{{grid-column:2/4;min-width:0;display:flex}}
+.vi-gates .vi-knob{{font:10.5px/1.35 {MONO};color:#7F93A8;cursor:pointer;overflow:hidden;
+ text-overflow:ellipsis;white-space:nowrap;justify-self:start;max-width:100%}}
+.vi-gates .vi-knob:hover{{color:{ESTIMATE};text-decoration:underline}}
+.vi-gates .vi-lim{{display:flex;justify-content:space-between;gap:8px;font-size:11px;color:{MUTED};white-space:nowrap}}
+.vi-gates .vi-lim .vi-bad{{font-weight:600}}
+.vi-meter{{position:relative;height:12px;background:{SUNKEN};border-radius:3px;overflow:hidden}}
+.vi-meter i{{position:absolute;top:0;bottom:0}}
+.vi-meter .vi-pass{{background:#2BC48A1F}} .vi-meter .vi-fill{{top:2px;bottom:2px;border-radius:2px}}
+.vi-meter u{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{STRONG};border-radius:1px}}
+.vi-meter.vi-none{{background:repeating-linear-gradient(135deg,{SUNKEN} 0 4px,{RAISED} 4px 6px)}}
+.vi-lamps{{display:flex;gap:2px;margin:4px 0 8px}}
+.vi-lamp{{flex:1 1 0;min-width:0;border-radius:4px;background:{SUNKEN};padding:4px 4px 4px;text-align:center;
+ font-size:10.5px;line-height:1.25;border-top:3px solid {CANDIDATE};color:{MUTED};overflow-wrap:break-word}}
+.vi-lamp svg{{margin:0 auto 2px}}
+.vi-lamp.vi-ok{{border-top-color:{OK};color:{TEXT}}} .vi-lamp.vi-bad{{border-top-color:{BAD};color:{TEXT};
+ background:#2E1D18}}
+.vi-stage{{margin-top:12px;display:flex;gap:7px;align-items:baseline;flex-wrap:wrap}}
+.vi-stage b{{font-size:12.5px}}
+.vi-outcome{{margin:3px 0 5px;padding:5px 9px;border-left:3px solid {BAD};background:#2E1D18;border-radius:0 4px 4px 0}}
+.vi-outcome.vi-good{{border-left-color:{OK};background:#15261F;color:{TEXT}}}
+.vi-outcome.vi-plain{{border-left-color:{CANDIDATE};background:{SUNKEN};color:{TEXT}}}
+.vi-outcome.vi-key{{border:0;border-left:3px solid {ESTIMATE};font:inherit;background:#16242E;color:{TEXT};
+ border-radius:0 4px 4px 0;padding:5px 9px}}
+"""
+
+_CAMERA = f"""
+.vi-img{{position:relative;overflow:hidden;border-radius:5px;background:#000;touch-action:none;margin-top:8px}}
+.vi-zoom{{contain:strict;position:absolute;inset:0;transform-origin:0 0;
+ transform:translate(var(--vi-x),var(--vi-y)) scale(var(--vi-z))}}
+.vi-zoom img,.vi-zoom svg{{position:absolute;inset:0;width:100%;height:100%;display:block}}
+.vi-zoom.z img{{image-rendering:pixelated}}
+.vi-zoom circle{{r:calc(var(--r,3.4px)*var(--u)/var(--vi-z));stroke-width:calc(var(--s,1.3px)*var(--u)/var(--vi-z));
+ cursor:pointer}}
+.vi-zoom polyline{{fill:none;stroke-width:calc(var(--s,1.1px)*var(--u)/var(--vi-z));stroke-linejoin:round;opacity:.7;
+ pointer-events:none}}
+.vi-zoom g.m path{{fill:none;stroke-width:calc(1.7px*var(--u)/var(--vi-z));stroke-linecap:round}}
+.vi-zoom g.h path{{fill:none;stroke:#000;stroke-opacity:.55;stroke-width:calc(3.6px*var(--u)/var(--vi-z));
+ stroke-linecap:round;pointer-events:none}}
+.vi-zoom .o{{cursor:pointer;stroke-width:calc(.8px*var(--u)/var(--vi-z));stroke:#000}}
+.vi-zoom circle:hover,.vi-zoom .o:hover{{stroke:{SELECTION};--s:2.4px}}
+.vi-zoom .p{{--r:6.5px;--s:2.3px;stroke:{SELECTION};fill:#F0E44240}}
+.vi-ages{{width:84px;height:9px;border-radius:4px;background:linear-gradient(90deg,{",".join(AGE_RAMP[::4])})}}
+.vi-legend{{display:flex;gap:4px 12px;align-items:center;flex-wrap:wrap;margin-top:6px}}
+.vi-legend span{{white-space:nowrap}}
+.vi-legend svg{{display:inline-block;vertical-align:-1.5px;margin-right:4px}}
+.vi-legend-item{{display:inline-flex;align-items:center}}
+"""
+
+_PLOTS = f"""
+.vi-lane{{position:relative;cursor:pointer;touch-action:none;contain:content;flex:1 1 auto;min-width:0}}
+.vi-head{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{SELECTION};pointer-events:none;
+ left:calc(var(--vi-head)*100%)}}
+.vi-plots{{display:flex;padding-bottom:0}}
+.vi-strip{{position:relative;background:{SUNKEN};border-radius:4px;margin-bottom:3px;overflow:hidden}}
+.vi-strip svg{{width:100%;height:100%}}
+.vi-strip .vi-name{{position:absolute;left:6px;top:2px;font-size:11px;pointer-events:auto}}
+.vi-strip .vi-max{{position:absolute;right:6px;top:2px;font-size:10px;color:#7C8590;pointer-events:none}}
+.vi-values{{flex:0 0 66px}}
+.vi-value{{display:flex;flex-direction:column;justify-content:center;align-items:flex-end;line-height:1.2;
+ margin-bottom:3px;color:{STRONG};font-weight:600;font-size:13px;white-space:nowrap}}
+.vi-value .vi-unit{{font-weight:400;font-size:10.5px}}
+.vi-over{{position:relative;height:0}}
+.vi-time{{display:flex;gap:8px;align-items:stretch}}
+.vi-lanes{{position:relative;flex:0 0 58px}}
+.vi-lanes span{{position:absolute;right:0;font-size:10px;line-height:10px;color:{MUTED};text-align:right}}
+.vi-obs{{display:flex;align-items:flex-end;gap:2px;height:44px;padding:0 4px;background:{SUNKEN};border-radius:4px;
+ position:relative;overflow:hidden}}
+.vi-obs i{{flex:1 1 0;max-width:18px;min-width:2px;border-radius:2px 2px 0 0;cursor:pointer}}
+.vi-obs i:hover{{background:{SELECTION}!important}}
+.vi-obs u{{position:absolute;left:0;right:0;border-top:1px dashed #B9C0CA;pointer-events:none}}
+"""
+
+_TIPS = f"""
+.vi-tip{{position:fixed;z-index:10000;max-width:360px;padding:9px 12px;border-radius:6px;background:#0E1013;
+ border:1px solid #454C57;box-shadow:0 6px 24px #000A;color:{TEXT};font:12px/1.45 {FONT};pointer-events:none}}
+.vi-tip b{{display:block;color:{STRONG};font-weight:600;margin-bottom:3px}}
+.vi-tip code{{display:block;margin:5px 0;padding:4px 7px;background:{GROUND};border-radius:4px;color:#F3E9C6;
+ font:11.5px/1.5 {MONO};white-space:pre-wrap}}
+.vi-tip dl{{display:grid;grid-template-columns:max-content 1fr;gap:1px 10px;margin:5px 0 0;font-size:11px}}
+.vi-tip dt{{color:{MUTED}}} .vi-tip dd{{margin:0}}
+"""
+
+FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
+"""Colours of the three factor types, wherever a cost is split."""
+
+CSS = "".join((_BASE, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _TIPS))

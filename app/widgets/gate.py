@@ -1,0 +1,147 @@
+"""The gate widget: one comparison that decided something, drawn the same way everywhere.
+
+    x  matches              13   [######   |   ]
+       init.min_matches          > 20    8 short
+
+Verdict as shape and colour, name, value, a meter with the limit marked and the passing side tinted, the comparison,
+the margin in words, and the parameter behind the limit as a link to its slider (event `knob`).
+Initialisation, keyframe choice, track loss and failure detection all use it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from vins_core.report import Gate
+
+from ..html import UNITS, Html, number, send, tag, term, text, unit
+from ..palette import BAD, CANDIDATE, ESTIMATE, GROUND, OK
+from ..tooltips import gate_tip
+
+OPS = {">=": "≥", ">": ">", "<=": "≤", "<": "<"}
+
+
+def _icon(body: str, title: str) -> Html:
+    return Html(f'<svg width="14" height="14" viewBox="0 0 14 14" role="img" aria-label="{title}">{body}</svg>')
+
+
+_STROKE = f'fill="none" stroke="{GROUND}" stroke-width="1.8" stroke-linecap="round" stroke-linejoin="round"'
+PASSED = _icon(f'<circle cx="7" cy="7" r="6.5" fill="{OK}"/><path d="M4 7.3l2.2 2.2L10.2 5" {_STROKE}/>', "passed")
+FAILED = _icon(
+    f'<rect x=".5" y=".5" width="13" height="13" rx="3" fill="{BAD}"/><path d="M4.3 4.3l5.4 5.4M9.7 4.3l-5.4 5.4" '
+    f"{_STROKE}/>",
+    "failed",
+)
+WARNED = _icon(
+    f'<path d="M7 1.2L13.2 12.6H.8z" fill="none" stroke="{BAD}" stroke-width="1.5" stroke-linejoin="round"/>'
+    f'<path d="M7 5.2v3.4M7 10.6v.1" stroke="{BAD}" stroke-width="1.5" stroke-linecap="round"/>',
+    "failed, advisory",
+)
+UNKNOWN = _icon(
+    f'<circle cx="7" cy="7" r="5.8" fill="none" stroke="{CANDIDATE}" stroke-width="1.5" stroke-dasharray="2.4 2"/>',
+    "not computed",
+)
+SWITCHED = _icon(f'<path d="M7 .6L13.4 7 7 13.4.6 7z" fill="{ESTIMATE}"/>', "triggered")
+IDLE = _icon(
+    f'<path d="M7 2L12 7 7 12 2 7z" fill="none" stroke="{CANDIDATE}" stroke-width="1.5"/>', "not triggered"
+)  # fmt: skip
+
+
+def verdict(gate: Gate, *, switch: bool = False) -> Html:
+    """The icon of a gate.  A `switch` chooses between two things of which neither is bad (keyframe or not)."""
+    if gate.value is None or math.isnan(gate.value):
+        return UNKNOWN
+    if switch:
+        return IDLE if gate.passed else SWITCHED
+    return PASSED if gate.passed else FAILED if gate.decides else WARNED
+
+
+def quantity(value: float | None, unit_name: str = "") -> Html:
+    """`12.3 px` with the unit small; whole numbers without decimals."""
+    if value is None:
+        return text("not computed")
+    return text((number(value), unit(unit_name)))
+
+
+def margin_words(gate: Gate) -> str:
+    """`7 short`, `0.4 m over`, `5 to spare`, `just at the limit`."""
+    margin = gate.margin
+    if margin is None or not math.isfinite(margin):
+        return "" if gate.value is None else "no margin"
+    if margin == 0:
+        return "just at the limit"
+    side = "to spare" if margin > 0 else "short" if gate.op.startswith(">") else "over"
+    name = UNITS.get(gate.unit, gate.unit)
+    return f"{number(abs(margin))}{'' if not name or name == '°' else ' '}{name} {side}"
+
+
+def meter(gate: Gate, colour: str) -> Html:
+    """A bar up to the value with the limit marked; the side on which the gate passes is tinted."""
+    if gate.value is None or not math.isfinite(gate.value):
+        return tag("div", cls="vi-meter vi-none")
+    low, high = _span(gate.value, gate.limit)
+
+    def place(v: float) -> float:
+        return 100 * min(max((v - low) / (high - low), 0.0), 1.0)
+
+    zero, value, limit = place(0.0), place(gate.value), place(gate.limit)
+    passing = (limit, 100.0) if gate.op.startswith(">") else (0.0, limit)
+    start, end = min(zero, value), max(zero, value)
+    return Html(
+        '<div class="vi-meter">'
+        f'<i class="vi-pass" style="left:{passing[0]:.1f}%;width:{passing[1] - passing[0]:.1f}%"></i>'
+        f'<i class="vi-fill" style="left:{start:.1f}%;width:{max(end - start, 0.8):.1f}%;background:{colour}"></i>'
+        f'<u style="left:{limit:.1f}%"></u></div>'
+    )
+
+
+def _span(value: float, limit: float) -> tuple[float, float]:
+    """Ends of a meter: zero, the limit and the value, unless the value is so far out that the limit would vanish."""
+    reach = abs(limit) or abs(value) or 1.0
+    value = min(max(value, -4 * reach), 4 * reach)
+    low, high = min(0.0, value, limit), max(0.0, value, limit)
+    room = 0.18 * (high - low)
+    return low - room if low < 0 else 0.0, high + room if high > 0 or low == high else 0.0
+
+
+def gate_rows(gate: Gate, *, switch: bool = False) -> Html:
+    """Two lines of the gate grid, see `gate_list`."""
+    if switch:
+        colour = CANDIDATE if gate.passed else ESTIMATE
+    else:
+        colour = OK if gate.passed else BAD
+    words = margin_words(gate)
+    tone = "" if gate.passed or switch else "vi-bad"
+    name = gate.name.replace("_", " ")
+    tip = gate_tip(gate)
+    knob = (
+        tag("span", gate.knob, cls="vi-knob", onclick=send(k="knob", key=gate.knob), data_tip=_knob_tip(gate.knob))
+        if gate.knob
+        else tag("span")
+    )
+    advisory = None if gate.decides else tag("span", " advisory", cls="vi-unit")
+    limit = tag("span", OPS.get(gate.op, gate.op), " ", number(gate.limit), unit(gate.unit))
+    return text(
+        (
+            tag("span", verdict(gate, switch=switch), data_gate=gate.name),
+            tag("span", term(name, tip), advisory),
+            tag("span", quantity(gate.value, gate.unit), cls="vi-val"),
+            meter(gate, colour),
+            Html("<span></span>"),
+            tag("span", knob, cls="vi-behind"),
+            tag("span", limit, tag("span", words, cls=tone), cls="vi-lim"),
+        )
+    )
+
+
+def _knob_tip(knob: str) -> str:
+    return f"param.{knob}"
+
+
+def gate_list(gates: Iterable[Gate], *, switch: bool = False, failed_first: bool = False) -> Html:
+    """All gates of a decision in one grid, so that their columns line up."""
+    ordered = sorted(gates, key=lambda g: g.passed) if failed_first else list(gates)
+    rule = Html('<div class="vi-rule"></div>')
+    parts = [part for gate in ordered for part in (rule, gate_rows(gate, switch=switch))]
+    return tag("div", *parts[1:], cls="vi-gates")
