@@ -1,0 +1,78 @@
+"""The visual residual: a landmark anchored in frame i, seen again in frame j by the same camera.
+
+With the anchor's ray f_i scaled to z = 1, the inverse depth lambda = 1/z and p_c the landmark in camera j,
+
+    p_c = T_b_c^-1 T_w_bj^-1 T_w_bi T_b_c (f_i / lambda)
+
+    plane:   r = (p_c.xy / p_c.z - f_j.xy / f_j.z) / sigma                         (REFERENCE O4)
+    sphere:  r = [b_1 b_2]' (p_c / |p_c| - f_j) / sigma                            (seed 000.3.3.3)
+
+where b_1, b_2 span the tangent plane of the unit sphere at the measured ray f_j.  Both do not change when p_c is
+scaled, so the chain carries lambda p_c in homogeneous form: lambda = 0 is a point at infinity, nothing divides by it.
+The sphere form takes any ray f_j, the plane form needs f_j.z > 0; the anchor needs f_i.z > 0 in both.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from .factor import Factor, pose, vector
+from .symbolic import Pose
+
+FOCAL_PX = 460.0
+"""Focal length of the virtual camera in which pixel thresholds are stated ("px460")."""
+
+BLOCKS = (pose("pose_i"), pose("pose_j"), pose("extrinsic"), vector("inv_depth", 1))
+
+
+def _point_in_camera_j(values: list, anchor_xy: ca.SX) -> ca.SX:
+    """lambda p_c, (3,)."""
+    pose_i, pose_j, extrinsic, inv_depth = values
+    assert isinstance(pose_i, Pose)
+    body_i = extrinsic.act(ca.vertcat(anchor_xy, 1), inv_depth)
+    world = pose_i.act(body_i, inv_depth)
+    return extrinsic.inverse_act(pose_j.inverse_act(world, inv_depth), inv_depth)
+
+
+def _plane(values: list, data: ca.SX) -> ca.SX:
+    anchor_xy, observed_xy, sqrt_info = ca.vertsplit(data, [0, 2, 4, 5])
+    p = _point_in_camera_j(values, anchor_xy)
+    return sqrt_info * (p[:2] / p[2] - observed_xy)
+
+
+def _sphere(values: list, data: ca.SX) -> ca.SX:
+    anchor_xy, b1, b2, sqrt_info = ca.vertsplit(data, [0, 2, 5, 8, 9])
+    p = _point_in_camera_j(values, anchor_xy)
+    return sqrt_info * ca.vertcat(ca.dot(b1, p), ca.dot(b2, p)) / ca.norm_2(p)
+
+
+FACTORS = {
+    "plane": Factor("reprojection_plane", BLOCKS, 5, _plane),
+    "sphere": Factor("reprojection_sphere", BLOCKS, 9, _sphere),
+}
+
+
+def tangent_basis(rays: np.ndarray) -> np.ndarray:
+    """Two orthonormal directions orthogonal to each unit ray, (n, 3) -> (n, 2, 3).
+
+    The first leans towards the axis (x or y) that the ray is furthest from, so it is never degenerate.
+    """
+    rays = np.asarray(rays, float)
+    use_x = np.abs(rays[:, 0]) <= np.abs(rays[:, 1])
+    axis = np.where(use_x[:, None], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    b1 = axis - rays * np.sum(axis * rays, 1, keepdims=True)
+    b1 /= np.linalg.norm(b1, axis=1, keepdims=True)
+    return np.stack([b1, np.cross(rays, b1)], 1)
+
+
+def measurement(form: str, rays_i: np.ndarray, rays_j: np.ndarray, sqrt_info: float) -> np.ndarray:
+    """The data rows of the factor, (n_data, n), from unit rays (n, 3) in the anchoring and the observing camera.
+
+    `sqrt_info` is 1/sigma in 1/rad or 1/(normalised coordinate): FOCAL_PX / (sigma in px460).
+    """
+    anchor = rays_i[:, :2] / rays_i[:, 2:]
+    scale = np.full((1, len(rays_i)), sqrt_info)
+    if form == "plane":
+        return np.concatenate([anchor.T, (rays_j[:, :2] / rays_j[:, 2:]).T, scale])
+    return np.concatenate([anchor.T, tangent_basis(rays_j).reshape(-1, 6).T, scale])

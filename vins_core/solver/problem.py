@@ -1,0 +1,110 @@
+"""One window as a least-squares problem: what is estimated, what was measured.  Pure data.
+
+    min  1/2 |r_prior|^2 + 1/2 sum |L^-1 r_imu|^2 + 1/2 sum rho(|r_visual|^2)
+
+Frames are numbered by slot, oldest 0; the factors are tables of slots and rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..factors.preintegration import Preintegration
+from ..factors.robust import Loss
+from ..geometry import so3
+
+
+@dataclass(frozen=True)
+class States:
+    """The variables.  Tangent of a pose or extrinsic: (dp, dtheta), q = q0 * Exp(dtheta)."""
+
+    poses: np.ndarray  # (n, 7) p_w_b, q_w_b wxyz
+    speed_biases: np.ndarray  # (n, 9) v_w_b, b_a, b_g
+    extrinsics: np.ndarray  # (cameras, 7) p_b_c, q_b_c
+    inv_depths: np.ndarray  # (m,) 1/m along z of the anchor camera
+
+
+@dataclass(frozen=True)
+class Projections:
+    """One row per reprojection factor, sorted by (landmark, observer): each observation but the anchor's own."""
+
+    anchor: np.ndarray  # (N,) slot whose camera holds the inverse depth
+    observer: np.ndarray  # (N,) slot that sees the landmark again
+    landmark: np.ndarray  # (N,) row of States.inv_depths
+    rays_i: np.ndarray  # (N, 3) unit ray in the anchor camera
+    rays_j: np.ndarray  # (N, 3) unit ray in the observing camera
+    camera: int = 0
+
+    def __len__(self) -> int:
+        return len(self.anchor)
+
+    def __getitem__(self, rows: np.ndarray | slice) -> Projections:
+        return Projections(
+            self.anchor[rows],
+            self.observer[rows],
+            self.landmark[rows],
+            self.rays_i[rows],
+            self.rays_j[rows],
+            self.camera,
+        )
+
+
+@dataclass(frozen=True)
+class Block:
+    """One variable of the cameras: `pose` or `speed_bias` of a slot, `extrinsic` of a camera."""
+
+    kind: str  # "pose" | "speed_bias" | "extrinsic"
+    slot: int
+
+    @property
+    def size(self) -> int:
+        """Dimension of the tangent space."""
+        return 9 if self.kind == "speed_bias" else 6
+
+    def value(self, states: States) -> np.ndarray:
+        tables = {"pose": states.poses, "speed_bias": states.speed_biases, "extrinsic": states.extrinsics}
+        return tables[self.kind][self.slot]
+
+
+@dataclass(frozen=True)
+class PriorFactor:
+    """r + J (x [-] x0) over `blocks`, whose tangents are the columns of J in this order."""
+
+    blocks: tuple[Block, ...]
+    x0: tuple[np.ndarray, ...]  # per block, (7,) or (9,)
+    J: np.ndarray  # (n, n)
+    r: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
+class WindowProblem:
+    initial: States
+    projections: Projections
+    imu: tuple[tuple[int, Preintegration], ...]  # (k, motion from slot k to slot k + 1)
+    prior: PriorFactor | None
+    gravity_m_s2: float
+    residual: str  # "plane" | "sphere"
+    sqrt_info: float  # 1/sigma of a normalised coordinate
+    loss: Loss
+    free_extrinsics: bool = False
+    """Whether the extrinsics are variables; otherwise they cost nothing."""
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.initial.poses)
+
+    @property
+    def n_landmarks(self) -> int:
+        return len(self.initial.inv_depths)
+
+
+def retract_poses(x: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """(k, 7) [+] (k, 6)."""
+    return np.concatenate([x[:, :3] + d[:, :3], so3.retract(x[:, 3:], d[:, 3:])], 1)
+
+
+def difference_poses(x: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """d (k, 6) with x = reference [+] d."""
+    return np.concatenate([x[:, :3] - reference[:, :3], so3.difference(x[:, 3:], reference[:, 3:])], 1)
