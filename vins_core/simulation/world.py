@@ -70,55 +70,46 @@ def _face(solid: Solid, axis: int, side: int) -> tuple[np.ndarray, ...]:
 
 def hits(world: World, origin_w: np.ndarray, rays_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The nearest surface along unit rays (n, 3) from `origin_w` ((3,) or one a ray): index (n,), distance (n,) m."""
-    surface, distance = _leave(world.room, origin_w, rays_w)
-    viewpoint = np.reshape(origin_w, (-1, 3)).mean(0)
-    for number, box in enumerate(world.boxes, 1):
-        near = _towards(box, viewpoint, rays_w)
+    rays_w = np.asfortranarray(rays_w)  # sweeps over x, y and z are several times faster on columns
+    _, leave, forward = _slabs(world.room, origin_w, rays_w)
+    axis, distance = np.argmin(leave, 0), leave.min(0)
+    surface = 2 * axis + _pick(forward, axis)
+    for number, (box, near) in enumerate(zip(world.boxes, _towards(world.boxes, origin_w, rays_w)), 1):
         if len(near) == 0:
             continue
         start = origin_w if np.ndim(origin_w) == 1 else origin_w[near]
-        face, reach = _enter(box, start, rays_w[near])
-        closer = reach < distance[near]
-        surface[near[closer]] = 6 * number + face[closer]
-        distance[near[closer]] = reach[closer]
+        enter, leave, forward = _slabs(box, start, np.asfortranarray(rays_w[near]))
+        axis, reach = np.argmax(enter, 0), enter.max(0)
+        seen = (reach > 0) & (reach < leave.min(0)) & (reach < distance[near])
+        surface[near[seen]] = (6 * number + 2 * axis + ~_pick(forward, axis))[seen]
+        distance[near[seen]] = reach[seen]
     return surface, distance
 
 
-def _slabs(solid: Solid, origin_w: np.ndarray, rays_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances along the rays to where they enter and leave the three pairs of parallel planes, each (n, 3)."""
-    R = solid.R_w_s.astype(rays_w.dtype)
-    rays = rays_w @ R
-    start = ((origin_w - solid.centre_w_m) @ solid.R_w_s).astype(rays.dtype)
-    inverse = 1.0 / np.where(np.abs(rays) < 1e-9, np.copysign(np.float32(1e-9), rays), rays)
-    middle, half = -start * inverse, (solid.size_m / 2).astype(rays.dtype) * np.abs(inverse)
-    return middle - half, middle + half
+def _slabs(solid: Solid, origin_w: np.ndarray, rays_w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distances to where rays enter and leave the three pairs of parallel planes, and whether they run along +axis.
+
+    All (3, n), by the axes of the solid.  Source: Kay and Kajiya 1986, the slab method.
+    """
+    R_s_w = solid.R_w_s.T
+    rays = R_s_w.astype(rays_w.dtype) @ rays_w.T
+    start = (R_s_w @ np.reshape(origin_w - solid.centre_w_m, (-1, 3)).T).astype(rays.dtype)
+    inverse = 1 / np.where(np.abs(rays) < 1e-9, np.float32(1e-9), rays)
+    middle, half = -start * inverse, (solid.size_m[:, None] / 2).astype(rays.dtype) * np.abs(inverse)
+    return middle - half, middle + half, inverse > 0
 
 
-def _leave(room: Solid, origin_w: np.ndarray, rays_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays from inside meet the walls: face number and distance."""
-    _, leave = _slabs(room, origin_w, rays_w)
-    axis = np.argmin(leave, 1)
-    rows = np.arange(len(axis))
-    along = rays_w @ room.R_w_s.astype(rays_w.dtype)
-    return 2 * axis + (along[rows, axis] > 0), leave[rows, axis]
+def _pick(rows: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """rows[which[i], i]"""
+    return np.take_along_axis(rows, which[None], 0)[0]
 
 
-def _enter(box: Solid, origin_w: np.ndarray, rays_w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays from outside meet a box: face number and distance, infinite where they miss."""
-    enter, leave = _slabs(box, origin_w, rays_w)
-    axis = np.argmax(enter, 1)
-    rows = np.arange(len(axis))
-    reach = enter[rows, axis]
-    along = rays_w @ box.R_w_s.astype(rays_w.dtype)
-    missed = (reach >= leave.min(1)) | (reach <= 0)
-    return 2 * axis + (along[rows, axis] < 0), np.where(missed, np.inf, reach).astype(rays_w.dtype)
-
-
-def _towards(box: Solid, viewpoint_w: np.ndarray, rays_w: np.ndarray) -> np.ndarray:
-    """Rows of the rays that pass the sphere around the box (with a margin for moving viewpoints)."""
-    offset = box.centre_w_m - viewpoint_w
-    distance, radius = np.linalg.norm(offset), np.linalg.norm(box.size_m) / 2 + 0.05
-    if distance <= radius:
-        return np.arange(len(rays_w))
-    cosine = np.sqrt(1.0 - (radius / distance) ** 2)
-    return np.flatnonzero(rays_w @ (offset / distance).astype(rays_w.dtype) >= cosine)
+def _towards(boxes: tuple[Solid, ...], origin_w: np.ndarray, rays_w: np.ndarray) -> list[np.ndarray]:
+    """For each box the rows of the rays that pass the sphere around it, with a margin for a moving viewpoint."""
+    viewpoint = np.reshape(origin_w, (-1, 3)).mean(0)
+    offset = np.array([box.centre_w_m for box in boxes]).reshape(-1, 3) - viewpoint
+    distance = np.linalg.norm(offset, axis=1)
+    sine = np.array([np.linalg.norm(box.size_m) / 2 + 0.05 for box in boxes]) / distance
+    least = np.where(sine < 1, np.sqrt(np.maximum(1 - sine**2, 0)), -1.0)
+    cosine = (offset / distance[:, None]).astype(rays_w.dtype) @ rays_w.T
+    return [np.flatnonzero(row >= limit) for row, limit in zip(cosine, least.astype(rays_w.dtype))]
