@@ -118,6 +118,16 @@ class Init:
         float, Range(0.05, 5), Doc("largest difference of the estimated gravity's norm", "m/s^2")
     ] = 1.0
     gravity_iterations: Annotated[int, Range(1, 10), Doc("refinements of gravity on its tangent plane")] = 4
+    refine: Annotated[bool, Doc("visual-inertial bundle adjustment after the alignment (parity: off)")] = True
+    acc_bias_sigma: Annotated[
+        float, Range(0.001, 2), Doc("how far from zero the accelerometer bias may be", "m/s^2")
+    ] = 0.1
+    max_scale_sigma: Annotated[
+        float, Range(0.001, 10), Doc("relative standard deviation of the scale after refinement")
+    ] = 0.15
+    max_imu_error: Annotated[
+        float, Range(0.01, 100), Doc("rms IMU residual after refinement, in its standard deviations", "sigma")
+    ] = 1.5
 
 
 @dataclass(frozen=True)

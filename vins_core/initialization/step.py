@@ -21,6 +21,8 @@ from ..window.keyframe import FOCAL_460, align_rays, parallax_px460
 from ..window.slide import restrict
 from ..window.state import TRIANGULATED, Landmarks, WindowFrame, WindowState
 from . import alignment, gyro_bias
+from .bundle import Rays, Structure
+from .refinement import Motion, Refinement, refine
 from .structure import Reconstruction, Tracks, place_frame, reconstruct
 
 
@@ -96,7 +98,12 @@ class _Attempt:
         self.scale, self.gravity = refined.scale, refined.gravity
         if not self.record(_refinement_stage(linear, refined)):
             return None
-        return self._metric_window(tracks, Ts_l_c, R_l_b, refined)
+        motion = self._metric_motion(built, Ts_l_c, R_l_b, refined)
+        if self.params.refine:
+            motion, stage = self._refine(tracks, built, motion)
+            if not self.record(stage):
+                return None
+        return self._initialized_window(tracks, motion)
 
     def _place_all(self, built: Reconstruction, sigma_rad: float) -> tuple[np.ndarray, InitStage]:
         """Camera poses of all frames in time: the window's from the structure, the others by PnP."""
@@ -121,35 +128,111 @@ class _Attempt:
         outcome = "" if lost < 0 else f"frame {lost}, which is not in the window, could not be placed in the structure"
         return Ts, InitStage("frames between", gates, outcome, {"frames": len(self.history) - len(slots)})
 
-    def _metric_window(
-        self, tracks: Tracks, Ts_l_c: np.ndarray, R_l_b: np.ndarray, solved: alignment.Alignment
-    ) -> WindowState:
-        """States of the window in a world with z up, the oldest body at the origin with yaw 0 (REFERENCE N10)."""
-        rows = [k for k, f in enumerate(self.history) if f.frame in {w.frame for w in self.window.frames}]
-        T_b_c = self.window.T_b_c[0]
-        R, v = R_l_b[rows], solved.v[rows]
-        p = solved.scale * Ts_l_c[rows, :3, 3] - R @ T_b_c[:3, 3]
+    def _metric_motion(
+        self, built: Reconstruction, Ts_l_c: np.ndarray, R_l_b: np.ndarray, solved: alignment.Alignment
+    ) -> Motion:
+        """The window in a world with z up, the oldest body at the origin with yaw 0 (REFERENCE N10)."""
+        kept = {f.frame for f in self.window.frames}
+        rows = [k for k, f in enumerate(self.history) if f.frame in kept]
+        R = R_l_b[rows]
+        p = solved.scale * Ts_l_c[rows, :3, 3] - R @ self.window.T_b_c[0, :3, 3]
+        structure = Structure(p, R, solved.scale * built.points)
         q_w_l = so3.from_two_vectors(-solved.gravity, np.array([0.0, 0.0, 1.0]))
-        q = so3.multiply(q_w_l, so3.from_matrix(R))
-        q_yaw = so3.exp(np.array([0.0, 0.0, -so3.heading(q[0])]))
-        q_w_l, q = so3.multiply(q_yaw, q_w_l), so3.normalize(so3.multiply(q_yaw, q))
         assert self.b_g is not None
-        frames = []
-        for k, frame in enumerate(self.window.frames):
-            imu = frame.imu and repropagate(frame.imu, np.zeros(3), self.b_g, self.calibration.noise)
-            frames.append(
-                replace(
-                    frame,
-                    imu=imu,
-                    p_w_b=so3.rotate(q_w_l, p[k] - p[0]),
-                    q_w_b=q[k],
-                    v_w_b=so3.rotate(q_w_l, v[k]),
-                    b_a=np.zeros(3),
-                    b_g=self.b_g,
-                )
+        return _anchored(_rotated(Motion(structure, solved.v[rows], np.zeros(3), self.b_g), so3.to_matrix(q_w_l)))
+
+    def _refine(self, tracks: Tracks, built: Reconstruction, motion: Motion) -> tuple[Motion, InitStage]:
+        known = np.isin(tracks.ids, built.ids)
+        point, slot = np.nonzero(tracks.seen[known])
+        refined = refine(
+            motion,
+            self.window.T_b_c[0],
+            Rays(slot, point, tracks.rays[known][point, slot]),
+            self._window_imu(motion),
+            self.calibration.gravity_m_s2,
+            self.all_params.window.pixel_sigma / FOCAL_460,
+            self.params.acc_bias_sigma,
+        )
+        before, after = (_extent(m.structure.p) for m in (motion, refined.motion))
+        assert self.scale is not None
+        self.scale *= after / before
+        self.b_g = refined.motion.b_g
+        return _anchored(refined.motion), _verdict(self.all_params, refined, after / before)
+
+    def _window_imu(self, motion: Motion) -> list[Preintegration]:
+        noise = self.calibration.noise
+        return [repropagate(f.imu, motion.b_a, motion.b_g, noise) for f in self.window.frames[1:] if f.imu is not None]
+
+    def _initialized_window(self, tracks: Tracks, motion: Motion) -> WindowState:
+        q = so3.from_matrix(motion.structure.R)
+        frames = tuple(
+            replace(
+                frame,
+                imu=imu,
+                p_w_b=motion.structure.p[k],
+                q_w_b=q[k],
+                v_w_b=motion.v[k],
+                b_a=motion.b_a,
+                b_g=motion.b_g,
             )
-        window = replace(self.window, frames=tuple(frames), prior=None)
+            for k, (frame, imu) in enumerate(zip(self.window.frames, (None, *self._window_imu(motion))))
+        )
+        window = replace(self.window, frames=frames, prior=None)
         return replace(window, landmarks=landmarks_of(window, tracks, self.all_params.window.min_depth))
+
+
+def _rotated(motion: Motion, R: np.ndarray) -> Motion:
+    s = motion.structure
+    return replace(motion, structure=Structure(s.p @ R.T, R @ s.R, s.points @ R.T), v=motion.v @ R.T)
+
+
+def _anchored(motion: Motion) -> Motion:
+    """The same motion with the oldest body at the origin and its yaw 0."""
+    s = motion.structure
+    origin = s.p[0]
+    motion = replace(motion, structure=Structure(s.p - origin, s.R, s.points - origin))
+    yaw = so3.heading(so3.from_matrix(s.R[0]))
+    return _rotated(motion, so3.to_matrix(so3.exp(np.array([0.0, 0.0, -yaw]))))
+
+
+def _extent(p: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((p - p.mean(0)) ** 2, 1))))
+
+
+def _verdict(params: Params, refined: Refinement, scale_change: float) -> InitStage:
+    """Is the refined window consistent, and was its scale observable?"""
+    init, health = params.init, params.health
+    b_a, b_g = (float(np.linalg.norm(b)) for b in (refined.motion.b_a, refined.motion.b_g))
+    gates = (
+        Gate("scale_sigma", refined.scale_sigma, "<=", init.max_scale_sigma, "init.max_scale_sigma"),
+        Gate("imu_error", refined.imu_rms, "<=", init.max_imu_error, "init.max_imu_error", "sigma"),
+        Gate(
+            "reprojection",
+            FOCAL_460 * refined.rms_rad,
+            "<=",
+            init.max_reprojection_px,
+            "init.max_reprojection_px",
+            "px460",
+        ),
+        Gate("acc_bias", b_a, "<=", health.max_acc_bias, "health.max_acc_bias", "m/s^2"),
+        Gate("gyr_bias", b_g, "<=", health.max_gyr_bias, "health.max_gyr_bias", "rad/s"),
+    )
+    why = {
+        "scale_sigma": f"the scale is only known to {100 * refined.scale_sigma:.0f} %: change speed or direction more",
+        "imu_error": "motion seen by camera and IMU differ: check extrinsics, time offset, IMU units and noise",
+        "reprojection": "the tracks do not fit any motion the IMU allows: check extrinsics and time offset",
+        "acc_bias": f"the accelerometer bias would have to be {b_a:.1f} m/s^2",
+        "gyr_bias": f"the gyroscope bias would have to be {b_g:.2f} rad/s",
+    }
+    outcome = next((why[g.name] for g in gates if not g.passed), "")
+    values = {
+        "scale_change": scale_change,
+        "gravity_sigma_deg": refined.gravity_sigma_deg,
+        "iterations": float(refined.iterations),
+        **{f"b_a_{axis}": float(x) for axis, x in zip("xyz", refined.motion.b_a)},
+        **{f"b_g_{axis}": float(x) for axis, x in zip("xyz", refined.motion.b_g)},
+    }
+    return InitStage("refinement", gates, outcome, values)
 
 
 def excitation(params: Init, imu: list[Preintegration]) -> InitStage:
@@ -202,7 +285,7 @@ def choose_reference(params: Init, tracks: Tracks) -> tuple[int, RelativePose | 
     assert best is not None
     l, gates = best
     why = {
-        "matches": "too few tracks reach from an older frame to the newest: move more slowly, or where there is texture",
+        "matches": "too few tracks reach from an older frame to the newest: move more slowly or find more texture",
         "parallax": "not enough parallax between any frame of the window and the newest: move the camera sideways",
         "translation": "the camera only turned: move it sideways",
         "pose_inliers": "no relative pose explains the tracks between the reference frame and the newest",

@@ -1,0 +1,149 @@
+"""Visual-inertial bundle adjustment of the window, and how well it knows its scale.
+
+The linear alignment trusts the visual poses and knows no accelerometer bias; over the first second both cost several
+percent of scale and most of a degree of gravity.  Here poses, velocities, points and biases are solved for together,
+
+    sum |reprojection|^2_Cauchy + sum |imu|^2_P + |b_a|^2 / sigma_a^2,
+
+with both biases constant over the window and the accelerometer's held near zero, because gravity and b_a can hardly
+be told apart yet.  The curvature at the optimum says whether scale was observable: `scale_sigma` is the verdict that
+keeps an ill-conditioned attempt (constant velocity, constant acceleration) from starting a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..factors import imu as imu_factor
+from ..factors.preintegration import Preintegration
+from ..geometry import so3
+from .bundle import NormalEquations, Rays, Structure, linearize, minimize, reproject, retract
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Unknowns of the window in a world with z up: bodies and points, velocities, constant biases."""
+
+    structure: Structure
+    v: np.ndarray  # (K, 3)
+    b_a: np.ndarray  # (3,)
+    b_g: np.ndarray  # (3,)
+
+
+@dataclass(frozen=True)
+class Refinement:
+    motion: Motion
+    scale_sigma: float  # relative standard deviation of the scale
+    gravity_sigma_deg: float  # of the direction of gravity in the oldest body
+    imu_rms: float  # rms of the whitened IMU residuals: 1 when the noise model is right
+    rms_rad: float  # of the reprojection
+    iterations: int
+    converged: bool
+
+
+def refine(
+    motion: Motion,
+    T_b_c: np.ndarray,
+    rays: Rays,
+    imu: Sequence[Preintegration],
+    gravity_m_s2: float,
+    sigma_rad: float,
+    acc_bias_sigma: float,
+    max_iterations: int = 30,
+) -> Refinement:
+    """Minimises the cost above.  `imu[k]` integrates from frame k to k + 1 with biases near those of `motion`."""
+    inertial = _Inertial(imu, gravity_m_s2, acc_bias_sigma)
+    n = 9 * len(motion.v) + 6
+
+    def equations(m: Motion) -> NormalEquations:
+        return inertial.add(linearize(m.structure, T_b_c, rays, sigma_rad, n), m)
+
+    motion, final, iterations, converged = minimize(motion, equations, _step, np.ones(n, bool), max_iterations)
+    S, _, _ = final.reduce(0.0)
+    covariance = np.linalg.inv(S)
+    error = reproject(motion.structure, T_b_c, rays)[2]
+    return Refinement(
+        motion,
+        _scale_sigma(motion.structure.p, covariance),
+        _gravity_sigma_deg(motion.structure.R[0], covariance),
+        inertial.rms(motion),
+        float(np.sqrt(np.mean(np.sum(error**2, 1)))),
+        iterations,
+        converged,
+    )
+
+
+def _step(m: Motion, d: np.ndarray, d_points: np.ndarray) -> Motion:
+    k = len(m.v)
+    v = m.v + d[6 * k : 9 * k].reshape(k, 3)
+    return Motion(retract(m.structure, d, d_points), v, m.b_a + d[-6:-3], m.b_g + d[-3:])
+
+
+class _Inertial:
+    """IMU factors between consecutive frames, the prior on b_a, and the gauge; one set of buffers for a solve."""
+
+    GAUGE_INFORMATION = 1e8  # position and yaw of the oldest body are free: holding them stiffly costs nothing
+
+    def __init__(self, imu: Sequence[Preintegration], gravity_m_s2: float, acc_bias_sigma: float):
+        self._batch = imu_factor.IMU.batch(len(imu), imu_factor.ACTIVE, backend="vm")
+        self._batch.data[:] = imu_factor.measurement(imu, gravity_m_s2)
+        # the random walk of the biases is left out: rows p, q, v of the triangular whitening stand on their own
+        self._whitening = np.array([imu_factor.whitening(p)[:9, :9] for p in imu])
+        self._acc_bias_information = 1.0 / acc_bias_sigma**2
+
+    def add(self, e: NormalEquations, m: Motion) -> NormalEquations:
+        r, J = self._linearize(m)
+        K = len(m.v)
+        H, g = e.H, e.g
+        for k in range(K - 1):
+            # columns of the factor: pose_i, (v, b_a, b_g)_i, pose_j, (v, b_a, b_g)_j; both biases are the common ones
+            columns = np.r_[6 * k : 6 * k + 12, 6 * K + 3 * k : 6 * K + 3 * k + 6, 9 * K : 9 * K + 6]
+            J_k = np.hstack([J[k][:, 0:6], J[k][:, 15:21], J[k][:, 6:9], J[k][:, 21:24], J[k][:, 9:15]])
+            H[np.ix_(columns, columns)] += J_k.T @ J_k
+            g[columns] += J_k.T @ r[k]
+        b_a = slice(9 * K, 9 * K + 3)
+        H[b_a, b_a] += self._acc_bias_information * np.eye(3)
+        g[b_a] += self._acc_bias_information * m.b_a
+        up = m.structure.R[0][2]  # world z in the oldest body
+        H[:3, :3] += self.GAUGE_INFORMATION * np.eye(3)
+        H[3:6, 3:6] += self.GAUGE_INFORMATION * np.outer(up, up)
+        prior = 0.5 * self._acc_bias_information * float(m.b_a @ m.b_a)
+        return NormalEquations(e.cost + 0.5 * float(np.sum(r * r)) + prior, H, g, e.W, e.V, e.h)
+
+    def rms(self, m: Motion) -> float:
+        r, _ = self._linearize(m)
+        return float(np.sqrt(np.mean(r * r)))
+
+    def _linearize(self, m: Motion) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened residuals (K - 1, 9) and Jacobians (K - 1, 9, 30)."""
+        poses = np.concatenate([m.structure.p, so3.from_matrix(m.structure.R)], axis=1).T
+        biases = np.broadcast_to(np.concatenate([m.b_a, m.b_g])[:, None], (6, len(m.v)))
+        speed_biases = np.concatenate([m.v.T, biases])
+        pose_i, speed_bias_i, pose_j, speed_bias_j = self._batch.inputs
+        pose_i[:], speed_bias_i[:] = poses[:, :-1], speed_biases[:, :-1]
+        pose_j[:], speed_bias_j[:] = poses[:, 1:], speed_biases[:, 1:]
+        self._batch.evaluate()
+        r = np.einsum("kij,jk->ki", self._whitening, self._batch.r[:9])
+        J = np.einsum("kij,jck->kic", self._whitening, self._batch.J[:9])
+        return r, J
+
+
+def _scale_sigma(p: np.ndarray, covariance: np.ndarray) -> float:
+    """Relative deviation of s in p = mean + s (p_hat - mean), fitted by least squares to the positions.
+
+    s is linear in the positions, ds = sum (p_k - mean) . dp_k / sum |p_k - mean|^2.
+    """
+    spread = p - p.mean(0)
+    weights = np.zeros(len(covariance))
+    weights[: 6 * len(p)] = np.concatenate([spread, np.zeros_like(spread)], axis=1).ravel()
+    weights /= max(float(np.sum(spread**2)), 1e-12)
+    return float(np.sqrt(max(weights @ covariance @ weights, 0.0)))
+
+
+def _gravity_sigma_deg(R_w_b: np.ndarray, covariance: np.ndarray) -> float:
+    """Root of the mean variance of roll and pitch of the oldest body."""
+    tilt = R_w_b @ covariance[3:6, 3:6] @ R_w_b.T
+    return float(np.rad2deg(np.sqrt(max(0.5 * (tilt[0, 0] + tilt[1, 1]), 0.0))))
