@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from .clock import stopwatch
+from .factors.preintegration import preintegrate
 from .frontend.state import TrackerState
-from .report import PoseEstimate, Status
-from .window.state import WindowFrame, WindowState
+from .frontend.step import track
+from .initialization.step import initialize
+from .params import Params
+from .report import FrameReport, LossReason, PoseEstimate, Status, Timings
+from .sensors import Calibration, ImageSource, Packet
+from .window.keyframe import decide
+from .window.propagate import continue_from, predict
+from .window.slide import drop_oldest, drop_second_newest, restrict
+from .window.state import Landmarks, Observations, WindowFrame, WindowState
+from .window.step import estimate, pose_of
 
 
 @dataclass(frozen=True)
@@ -21,6 +33,140 @@ class RunState:
     the pre-integration from the frame just before it in time; empty once tracking."""
     last_attempt_ns: int | None = None
     rejected_ids: tuple[int, ...] = ()
-    """Tracks the estimator rejected in this frame; the tracker drops them in the next one."""
+    """Tracks the estimator rejected in this frame as outliers; the tracker drops them in the next one."""
+    behind_ids: tuple[int, ...] = ()
+    """Likewise, because their depth came out negative."""
     resume: PoseEstimate | None = None
     """After a restart: the last healthy pose, which the next initialisation starts from."""
+
+
+def start(calibration: Calibration) -> RunState:
+    """The state before the first packet."""
+    return RunState(TrackerState.empty(), _empty_window(calibration), Status.FILLING)
+
+
+def step(
+    params: Params, calibration: Calibration, images: ImageSource, state: RunState, packet: Packet
+) -> tuple[RunState, FrameReport, Timings]:
+    """Track, integrate, decide; then initialise, or solve and slide.
+
+    Deterministic: the same arguments give the same state and report, bit for bit.
+    """
+    ms: Timings = {}
+    calibration = _scale_noise(params, calibration)
+    with stopwatch(ms, "track"):
+        tracker, observations, tracks = track(
+            params.frontend,
+            calibration.cameras[0],
+            images,
+            state.tracker,
+            packet,
+            {LossReason.OUTLIER: state.rejected_ids, LossReason.DEPTH: state.behind_ids},
+        )
+    tracking = state.status is Status.TRACKING
+    previous = pose_of(state.window.frames[-1]) if tracking else None
+    with stopwatch(ms, "preintegrate"):
+        state = _arrive(calibration, state, packet, observations)
+    R_b_c = state.window.T_b_c[0][:3, :3]
+    keyframe = decide(params.window, state.window.frames, R_b_c, gyro_is_calibrated=tracking)
+    state = _remember_decision(state, keyframe.is_keyframe)
+    state = replace(state, tracker=tracker, rejected_ids=(), behind_ids=())
+    report = FrameReport(
+        frame=packet.frame,
+        t_ns=packet.t_ns,
+        images=packet.images,
+        n_imu=len(packet.imu),
+        status=Status.FILLING,
+        anomalies=packet.anomalies,
+        tracks=tracks,
+        keyframe=keyframe,
+    )
+
+    if len(state.window.frames) <= params.window.size:
+        return replace(state, status=Status.FILLING), report, ms
+    if not tracking:
+        with stopwatch(ms, "initialize"):
+            state, report = _initialize(params, calibration, state, report)
+        if state.status is not Status.TRACKING:
+            return _forget(calibration, state, keyframe.is_keyframe), report, ms
+
+    result = estimate(params, calibration, state.window, keyframe, previous, ms)
+    report = result.explain(report)
+    if result.window is None:
+        return _restart(calibration, state, previous), replace(report, status=Status.FAILED, pose=None), ms
+    outliers, behind = (tuple(result.rejected[r].tolist()) for r in (LossReason.OUTLIER, LossReason.DEPTH))
+    state = replace(state, window=result.window, rejected_ids=outliers, behind_ids=behind)
+    return state, replace(report, status=Status.TRACKING), ms
+
+
+def _scale_noise(params: Params, calibration: Calibration) -> Calibration:
+    noise, imu = calibration.noise, params.imu
+    scaled = replace(
+        noise,
+        acc_n=noise.acc_n * imu.acc_n_scale,
+        gyr_n=noise.gyr_n * imu.gyr_n_scale,
+        acc_w=noise.acc_w * imu.acc_w_scale,
+        gyr_w=noise.gyr_w * imu.gyr_w_scale,
+    )
+    return replace(calibration, noise=scaled)
+
+
+def _empty_window(calibration: Calibration) -> WindowState:
+    return WindowState((), Landmarks.empty(), None, np.array([c.T_b_c for c in calibration.cameras]))
+
+
+def _arrive(calibration: Calibration, state: RunState, packet: Packet, observations: Observations) -> RunState:
+    """Append the new frame, with the motion since the previous one and, once tracking, a predicted state.
+
+    A window starts with the first frame that has tracks to offer.
+    """
+    if not state.window.frames and not len(observations):
+        return state
+    zero, identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    newest = WindowFrame(packet.frame, packet.t_ns, False, observations, None, zero, identity, zero, zero, zero)
+    if state.window.frames:
+        last = state.window.frames[-1]
+        imu = preintegrate(packet.imu, last.b_a, last.b_g, calibration.noise)
+        newest = replace(newest, imu=imu, b_a=last.b_a, b_g=last.b_g)
+        if state.status is Status.TRACKING:
+            p, q, v = predict(last, imu, calibration.gravity_m_s2)
+            newest = replace(newest, p_w_b=p, q_w_b=q, v_w_b=v)
+    frames = (*state.window.frames, newest)
+    window = replace(state.window, frames=frames, landmarks=restrict(state.window.landmarks, frames))
+    history = () if state.status is Status.TRACKING else (*state.history, newest)
+    return replace(state, window=window, history=history)
+
+
+def _remember_decision(state: RunState, is_keyframe: bool) -> RunState:
+    frames = list(state.window.frames)
+    if len(frames) > 1:
+        frames[-2] = replace(frames[-2], is_keyframe=is_keyframe)
+    return replace(state, window=replace(state.window, frames=tuple(frames)))
+
+
+def _initialize(
+    params: Params, calibration: Calibration, state: RunState, report: FrameReport
+) -> tuple[RunState, FrameReport]:
+    state, report = replace(state, status=Status.INITIALIZING), replace(report, status=Status.INITIALIZING)
+    last = state.last_attempt_ns
+    if last is not None and report.t_ns - last < params.init.retry_s * 1e9:
+        return state, report
+    window, attempt = initialize(params, calibration, state.window, state.history)
+    state, report = replace(state, last_attempt_ns=report.t_ns), replace(report, initialization=attempt)
+    if window is None:
+        return state, report
+    if state.resume is not None:
+        window = continue_from(window, state.resume)
+    return replace(state, window=window, status=Status.TRACKING, history=(), resume=None), report
+
+
+def _forget(calibration: Calibration, state: RunState, is_keyframe: bool) -> RunState:
+    """Slide without estimates: the oldest frame is dropped, or the one before the newest."""
+    window = drop_oldest(state.window) if is_keyframe else drop_second_newest(state.window, calibration.noise)
+    first, *rest = (f for f in state.history if f.frame >= window.frames[0].frame)
+    return replace(state, window=window, history=(replace(first, imu=None), *rest))
+
+
+def _restart(calibration: Calibration, state: RunState, last_healthy: PoseEstimate | None) -> RunState:
+    """Forget window and prior, keep the tracks, remember where to continue (SPEC 5.4, unlike REFERENCE F7)."""
+    return RunState(state.tracker, _empty_window(calibration), Status.FAILED, resume=last_healthy)

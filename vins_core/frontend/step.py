@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -24,19 +24,20 @@ def track(
     images: ImageSource,
     state: TrackerState,
     packet: Packet,
-    rejected_ids: Collection[int] = (),
+    rejected: Mapping[LossReason, Collection[int]] | None = None,
 ) -> tuple[TrackerState, Observations, TrackReport]:
     """Carry the tracks through the images of a packet; the last image is the frame the estimator gets.
 
     Wrap `images` in `EqualizedImages` once and pass that, and each image is decoded and equalised once.  Tracks in
-    `rejected_ids`, the estimator's outliers, are dropped (REFERENCE TF8).  A gap longer than `max_gap_s`, or time that
+    `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than `max_gap_s`, or time that
     does not advance, drops every track and fails the deciding gate "image interval"; ids are never given twice.
     Raises CalibrationError when an image or the mask does not have the camera's size.
     """
     source = images if isinstance(images, EqualizedImages) else EqualizedImages(images)
     usable = usable_area(camera)
     tracks = TrackLedger(state)
-    tracks.drop(np.isin(tracks.ids, list(rejected_ids)), LossReason.OUTLIER)
+    for reason, ids in (rejected or {}).items():
+        tracks.drop(np.isin(tracks.ids, list(ids)), reason)
     gates = _follow_images(params, camera, source, tracks, packet)
     if params.f_ransac:
         gates.append(_reject(params, camera, tracks))

@@ -27,10 +27,9 @@ def decide(
     estimated; before that the rotation is taken from the images alone (`align_rays`), because an unknown bias of
     0.1 rad/s would pass for 5 px of parallax in a tenth of a second.
     """
-    newest = frames[-1].observations
     if len(frames) < 3:
         return _report(True, "the window has fewer than three frames", np.nan, np.nan, 0, frames, ())
-    third, second = frames[-3], frames[-2]
+    third, second, newest = frames[-3], frames[-2], frames[-1].observations
     tracked = len(np.intersect1d(newest.ids, second.observations.ids, assume_unique=True))
     _, i, j = np.intersect1d(third.observations.ids, second.observations.ids, assume_unique=True, return_indices=True)
     rays_i, rays_j = third.observations.rays[i], second.observations.rays[j]
@@ -82,7 +81,7 @@ def _report(
     frames: tuple[WindowFrame, ...],
     gates: tuple[Gate, ...],
 ) -> KeyframeReport:
-    newest = frames[-1].observations.ids
+    newest = frames[-1].observations.ids if frames else np.zeros(0, np.int64)
     counts = np.zeros(len(newest), int)
     for frame in frames:
         counts += np.isin(newest, frame.observations.ids, assume_unique=True)

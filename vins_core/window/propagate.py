@@ -52,15 +52,6 @@ def move(window: WindowState, angle_rad: float, pivot: np.ndarray, target: np.nd
     return replace(window, frames=frames)
 
 
-def hold_gauge(solved: WindowState, before: WindowState) -> WindowState:
-    """Put position and heading of the oldest frame back to where they were before the solve (REFERENCE O9).
-
-    Nothing in a window measures them; without this they would wander with the numerics of the solver.
-    """
-    a, b = solved.frames[0], before.frames[0]
-    return move(solved, heading_between(a.q_w_b, b.q_w_b), a.p_w_b, b.p_w_b)
-
-
 def continue_from(window: WindowState, pose: PoseEstimate) -> WindowState:
     """A freshly initialised window, placed so that its oldest frame starts at `pose` (position and heading)."""
     oldest = window.frames[0]

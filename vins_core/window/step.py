@@ -1,0 +1,136 @@
+"""The window's turn on a page: re-propagate, triangulate, solve, reject, judge, marginalise, slide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..clock import stopwatch
+from ..factors.preintegration import repropagate
+from ..params import Imu, Params
+from ..report import (
+    FrameReport,
+    HealthReport,
+    KeyframeReport,
+    LandmarkReport,
+    LossReason,
+    MarginalizationReport,
+    PoseEstimate,
+    SolveReport,
+    Timings,
+    WindowReport,
+    all_pass,
+)
+from ..sensors import Calibration, ImuNoise
+from ..solver.levenberg_marquardt import solve
+from . import health, landmarks
+from .assemble import assemble, inv_depth_sigma, solve_report, unpack
+from .marginalize import marginalize_oldest, marginalize_second_newest
+from .slide import drop_oldest, drop_second_newest
+from .state import WindowFrame, WindowState
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What one turn gives: the window after sliding (None when the estimator has failed) and the explanation."""
+
+    window: WindowState | None
+    pose: PoseEstimate
+    rejected: dict[LossReason, np.ndarray]
+    solve: SolveReport
+    window_report: WindowReport
+    landmarks: LandmarkReport
+    health: HealthReport
+    marginalization: MarginalizationReport | None
+
+    def explain(self, report: FrameReport) -> FrameReport:
+        return replace(
+            report,
+            solve=self.solve,
+            window=self.window_report,
+            landmarks=self.landmarks,
+            health=self.health,
+            marginalization=self.marginalization,
+            pose=self.pose,
+        )
+
+
+def estimate(
+    params: Params,
+    calibration: Calibration,
+    window: WindowState,
+    keyframe: KeyframeReport,
+    previous: PoseEstimate | None,
+    ms: Timings,
+) -> Estimate:
+    """Solve a full window and slide it.
+
+    `keyframe` decides what leaves: the oldest frame when the second newest is a keyframe, else the second newest.
+    `previous` is the estimate of the frame before, None right after an initialisation.
+    """
+    with stopwatch(ms, "repropagate"):
+        window = _repropagate(params.imu, window, calibration.noise)
+    with stopwatch(ms, "triangulate"):
+        window = landmarks.triangulate(params.window, window)
+    with stopwatch(ms, "solve"):
+        assembly = assemble(params, window, calibration.gravity_m_s2)
+        solution = solve(params.solver, params.window.max_iterations, assembly.problem)
+        solved = unpack(window, assembly, solution.states)
+    with stopwatch(ms, "explain"):
+        solved_report = solve_report(assembly, solution)
+        judged, rejected = landmarks.reject(params.window, solved, solved_report)
+        landmark_report = landmarks.report(
+            solved, judged, assembly, solved_report, inv_depth_sigma(solution), keyframe.is_keyframe
+        )
+        window_report = _window_report(solved, solved_report)
+        pose = pose_of(solved.frames[-1])
+        verdict = health.check(params.health, keyframe.tracked, previous, pose)
+    done = Estimate(None, pose, rejected, solved_report, window_report, landmark_report, verdict, None)
+    if not all_pass(verdict.gates):
+        return done
+    with stopwatch(ms, "marginalize"):
+        leave = marginalize_oldest if keyframe.is_keyframe else marginalize_second_newest
+        prior, marginalization = leave(params, judged, calibration.gravity_m_s2)
+    with stopwatch(ms, "slide"):
+        judged = replace(judged, prior=prior)
+        slid = drop_oldest(judged) if keyframe.is_keyframe else drop_second_newest(judged, calibration.noise)
+    return replace(done, window=slid, marginalization=marginalization)
+
+
+def pose_of(frame: WindowFrame) -> PoseEstimate:
+    return PoseEstimate(frame.p_w_b, frame.q_w_b, frame.v_w_b, frame.b_a, frame.b_g)
+
+
+def _repropagate(params: Imu, window: WindowState, noise: ImuNoise) -> WindowState:
+    """Integrate again where the bias has left the neighbourhood in which its first-order correction holds (I3)."""
+    if not params.repropagate:
+        return window
+    frames = list(window.frames)
+    for k in range(1, len(frames)):
+        imu, before = frames[k].imu, frames[k - 1]
+        if imu is None:
+            continue
+        moved_a, moved_g = np.linalg.norm(before.b_a - imu.b_a), np.linalg.norm(before.b_g - imu.b_g)
+        if moved_a > params.repropagate_ba or moved_g > params.repropagate_bg:
+            frames[k] = replace(frames[k], imu=repropagate(imu, before.b_a, before.b_g, noise))
+    return replace(window, frames=tuple(frames))
+
+
+def _window_report(window: WindowState, solve: SolveReport) -> WindowReport:
+    frames = window.frames
+    newest = frames[-1].observations.ids
+    slot, squared = solve.visual_slots[:, 1], solve.visual_error_px.astype(float) ** 2
+    count = np.bincount(slot, minlength=len(frames))
+    return WindowReport(
+        frames=np.array([f.frame for f in frames]),
+        t_ns=np.array([f.t_ns for f in frames]),
+        keyframe=np.array([f.is_keyframe for f in frames]),
+        p_w_b=np.array([f.p_w_b for f in frames]),
+        q_w_b=np.array([f.q_w_b for f in frames]),
+        v_w_b=np.array([f.v_w_b for f in frames]),
+        b_a=np.array([f.b_a for f in frames]),
+        b_g=np.array([f.b_g for f in frames]),
+        shared=np.array([np.isin(f.observations.ids, newest, assume_unique=True).sum() for f in frames], np.int32),
+        error_px=np.sqrt(np.bincount(slot, squared, len(frames)) / np.where(count, count, np.nan)).astype(np.float32),
+    )
