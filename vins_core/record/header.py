@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from .. import params as parameters
 from ..errors import ParameterError, RunError, VinspectError
 from ..geometry.camera import camera_from_dict, camera_to_dict
 from ..params import Params
-from ..sensors import Calibration, CameraCalibration, ImuNoise
+from ..sensors import Calibration, CameraCalibration
 
 FORMAT = "vinspect run"
 SCHEMA = 1
@@ -90,33 +90,25 @@ def from_json(data: bytes, where: str) -> RunHeader:
             "open it with the version of vinspect that wrote it, or run the recording again"
         )
     try:
-        document["params"] = parameters.replace(Params(), document["params"])
-        document["calibration"] = _calibration_from_dict(document["calibration"])
-        known = {name: document[name] for name in RunHeader.__dataclass_fields__ if name in document}
-        checked = {k: v for k, v in known.items() if k not in ("params", "calibration")}
-        msgspec.convert(checked, _Plain)
-        return RunHeader(**known)
+        return _build(RunHeader, document, params=_params_from_dict, calibration=_calibration_from_dict)
     except ParameterError as problem:
         raise RunError(f"{where} was written by another version: {problem}") from None
-    except (msgspec.MsgspecError, VinspectError, KeyError, TypeError, ValueError, AttributeError) as problem:
-        raise RunError(f"{where} is damaged: {problem or type(problem).__name__}") from None
+    except (msgspec.MsgspecError, VinspectError, KeyError, TypeError, ValueError) as problem:
+        raise RunError(f"{where} is damaged: {problem}") from None
 
 
-class _Plain(msgspec.Struct):
-    """The fields of RunHeader that JSON can say by itself, checked on reading."""
+T = TypeVar("T")
 
-    origins: dict[str, str]
-    recording: str
-    recording_kind: str
-    topics: dict[str, str]
-    start_s: float
-    duration_s: float | None
-    expected_frames: int | None
-    backend: str
-    embedded_images: bool
-    created_utc: str
-    versions: dict[str, str]
-    cpu: str
+
+def _build(cls: type[T], plain: Any, **special: Callable[[Any], Any]) -> T:
+    """The dataclass whose fields are in `plain`, each checked against its declared type or made by `special`."""
+    kinds = get_type_hints(cls)
+    given = {name: plain[name] for name in kinds if name in msgspec.convert(plain, dict[str, Any])}
+    return cls(**{k: special[k](v) if k in special else msgspec.convert(v, kinds[k]) for k, v in given.items()})
+
+
+def _params_from_dict(plain: Any) -> Params:
+    return parameters.replace(Params(), msgspec.convert(plain, dict[str, Any]))
 
 
 def _calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
@@ -129,17 +121,18 @@ def _calibration_to_dict(calibration: Calibration) -> dict[str, Any]:
     return plain
 
 
-def _calibration_from_dict(plain: dict[str, Any]) -> Calibration:
-    cameras = tuple(
-        CameraCalibration(**{**c, "model": camera_from_dict(**c["model"]), "T_b_c": _transform(c["T_b_c"])})
-        for c in plain["cameras"]
-    )
-    noise = msgspec.convert(plain["noise"], ImuNoise)
-    return Calibration(**{**plain, "cameras": cameras, "noise": noise, "sources": tuple(plain["sources"])})
+def _calibration_from_dict(plain: Any) -> Calibration:
+    def cameras(rows: Any) -> tuple[CameraCalibration, ...]:
+        return tuple(
+            _build(CameraCalibration, row, model=lambda m: camera_from_dict(**m), T_b_c=_transform)
+            for row in msgspec.convert(rows, list[dict[str, Any]])
+        )
+
+    return _build(Calibration, plain, cameras=cameras)
 
 
 def _transform(rows: Any) -> np.ndarray:
-    T = np.array(rows, float)
-    if T.shape != (4, 4):
-        raise ValueError(f"a transform has shape {T.shape}, expected (4, 4)")
-    return T
+    T_a_b = np.array(msgspec.convert(rows, list[list[float]]), float)
+    if T_a_b.shape != (4, 4):
+        raise ValueError(f"a transform has shape {T_a_b.shape}, expected (4, 4)")
+    return T_a_b

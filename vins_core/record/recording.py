@@ -17,19 +17,22 @@ import os
 import threading
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
+from ..clock import stopwatch
 from ..errors import OutputError, RunError
-from ..pipeline import RunState
 from ..report import FrameReport, FrameSummary, Timings, summarize
 from ..sensors import ImageRef, ImageSource, Packet, Trajectory
 from . import header as headers
 from .codec import Blob, Ledger, pack, pack_series
 from .header import RunHeader
 from .log import Block, LogReader, LogWriter
+
+if TYPE_CHECKING:
+    from ..pipeline import RunState
 
 try:
     import fcntl
@@ -85,16 +88,21 @@ class RunWriter:
     def append(
         self, report: FrameReport, timings: Timings, packet: Packet | None = None, state: RunState | None = None
     ) -> None:
-        """The next frame; with `packet` and `state` (the one after the step) it can be restored and replayed."""
+        """The next frame; with `packet` and `state` (the one after the step) it can be restored and replayed.
+
+        Adds how long it took to the frame's timings, as `record`.
+        """
         if report.frame != len(self):
             raise ValueError(f"frame {report.frame} cannot follow {len(self) - 1}: frames are numbered from 0")
         own: dict[str, Any] = {"report": report, "timings": timings}
         if packet is not None:
             own["packet"] = packet
-        if self._image_log and self._images:
-            own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
-        payload, self._ledger = pack_series(own, {} if state is None else {"state": state}, self._ledger)
-        block = self._frames.append(payload)
+        timings = dict(timings)
+        with stopwatch(timings, "record"):  # known too late for frames.log: only the index has it
+            if self._image_log and self._images:
+                own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
+            payload, self._ledger = pack_series(own, {} if state is None else {"state": state}, self._ledger)
+            block = self._frames.append(payload)
         self._index.append(pack({"block": block, "summary": summarize(report, timings)}))
 
     def __len__(self) -> int:
@@ -225,6 +233,8 @@ class RunReader:
 
     def state(self, k: int) -> RunState:
         """The state after frame k, bit for bit."""
+        from ..pipeline import RunState  # not needed to look at a run, and costs CasADi
+
         return self._section(k, "state", RunState)
 
     @property

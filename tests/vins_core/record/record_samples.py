@@ -102,14 +102,19 @@ def frames(count: int, window: int = 11):
             9,
         )
         state = RunState(
-            tracker, WindowState(tuple(kept), landmarks, prior, T_b_c), Status.TRACKING, tuple(kept[:2]), t_ns, (3, 5),
-            pose(rng),
-        )  # fmt: skip
+            tracker,
+            WindowState(tuple(kept), landmarks, prior, T_b_c),
+            Status.TRACKING,
+            history=tuple(kept[:2]),
+            last_attempt_ns=t_ns,
+            rejected_ids=(3, 5),
+            resume=pose(rng),
+        )
         yield _report(rng, packet, seen, state), {"track": 3.25, "solve": 11.5}, packet, state
 
 
 def _report(rng: np.random.Generator, packet: Packet, seen: Observations, state: RunState) -> FrameReport:
-    n, gates = len(state.window.frames), (Gate("tracked", 12.0, ">=", 20, "window.keyframe_min_tracked"),)
+    n, gates = len(state.window.frames), (Gate("tracked", 12.0, ">=", 20.0, "window.keyframe_min_tracked"),)
     newest = state.window.frames[-1]
     tracks = TrackReport(
         seen.ids, seen.uv_px, np.ones(TRACKS, np.int32), seen.velocity, np.arange(5), np.zeros((5, 2), np.float32),
@@ -130,8 +135,9 @@ def _report(rng: np.random.Generator, packet: Packet, seen: Observations, state:
     )  # fmt: skip
     landmarks = LandmarkReport(
         state.window.landmarks.ids, rng.normal(size=(LANDMARKS, 3)).astype(np.float32),
-        state.window.landmarks.inv_depth, rng.normal(size=LANDMARKS).astype(np.float32), np.ones(LANDMARKS, np.uint8), np.ones(LANDMARKS, np.uint8),
-        rng.normal(size=LANDMARKS).astype(np.float32), state.window.landmarks.status,
+        state.window.landmarks.inv_depth, rng.normal(size=LANDMARKS).astype(np.float32),
+        np.ones(LANDMARKS, np.uint8), np.ones(LANDMARKS, np.uint8), rng.normal(size=LANDMARKS).astype(np.float32),
+        state.window.landmarks.status,
     )  # fmt: skip
     blocks = tuple(BlockReport(f"inv_depth of {i}", 1, i, True) for i in range(56))
     return FrameReport(
