@@ -12,7 +12,7 @@ from .trajectory import Channels, attitude
 
 REST_S = 0.5  # every moving scenario starts at rest
 RISE_S = 1.0  # and reaches its speed within this time
-LOOP_RADII_M = (2.8, 2.0)
+LOOP_RADII_M = (3.0, 2.3)
 LOOP_PERIOD_S = 20.0
 HEIGHT_M = 1.5
 
@@ -63,7 +63,7 @@ def standstill() -> Channels:
 
 def pure_rotation(p_f_c: np.ndarray) -> Channels:
     """Turning about the camera's centre, which lies at `p_f_c` (3,) m from the body's origin: no parallax at all."""
-    centre = np.array([0.6, -0.4, HEIGHT_M])
+    centre = np.array([-2.2, -1.2, HEIGHT_M])
 
     def channels(t_s: np.ndarray) -> np.ndarray:
         turned = run_up(t_s, REST_S, RISE_S)
@@ -83,7 +83,7 @@ def constant_velocity(until_s: float, speed_m_s: float = 0.6) -> Channels:
         swinging = run_up(t_s, until_s, RISE_S)
         rate = 2 * np.pi / 9.0
         path = np.zeros((len(t_s), 6))
-        path[:, :4] = [-3.0, -2.2, HEIGHT_M, np.radians(60.0)]
+        path[:, :4] = [-3.2, -2.8, HEIGHT_M, np.radians(60.0)]
         path[:, 0] += speed_m_s * (t_s - swinging + np.sin(rate * swinging) / rate)
         return path + switch_on(t_s, until_s, RISE_S)[:, None] * sway(t_s)
 

@@ -101,8 +101,12 @@ def landscape(canvas: Canvas, rng: np.random.Generator, x: float, y: float, widt
         ridge = np.stack([edge_x, y + height * peaks], -1)
         canvas.polygon(np.vstack([ridge, [x + width, y + height], [x, y + height]]), grey)
         if layer < 2:
-            for peak in ridge[1:-1:2]:
-                canvas.polygon(peak + np.array([[0, 0], [0.03, 0.05], [0.0, 0.04], [-0.03, 0.05]]), 245)
+            for left, peak, right in zip(ridge[:-2], ridge[1:-1], ridge[2:]):
+                if peak[1] < min(left[1], right[1]):
+                    notch = peak + np.array([0.0, 0.03])
+                    canvas.polygon(
+                        np.stack([peak, peak + 0.3 * (right - peak), notch, peak + 0.3 * (left - peak)]), 245
+                    )
 
 
 def skyline(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:

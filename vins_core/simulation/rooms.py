@@ -10,12 +10,14 @@ from . import posters
 from .canvas import Canvas
 from .world import Solid, World
 
-SIZE_M = np.array([10.0, 8.0, 3.2])
+SIZE_M = np.array([12.0, 10.0, 3.4])
 WAINSCOT_M = 0.85
+SPLITS = ((0.6, 0.4), (0.5, 0.5), (0.45, 0.3, 0.25), (0.65, 0.35))  # of a column of pictures
+GAP_M = 0.18  # between them
 
 
 def furnished(seed: int) -> World:
-    """A room of 10 x 8 x 3.2 m centred on the origin, floor at z = 0; nothing stands within the loop's path."""
+    """A room of 12 x 10 x 3.4 m centred on the origin, floor at z = 0; nothing stands within the loop's path."""
     rng = np.random.default_rng([seed, 1])
     x, y, z = SIZE_M
     walls = [_wall(rng, width, z) for width in (y, y, x, x)]
@@ -26,13 +28,18 @@ def furnished(seed: int) -> World:
 
 
 def bare(seed: int) -> World:
-    """The same room, painted white: a few faint stains, one picture, and nothing else to hold on to."""
+    """The same room painted white: a few sockets and faint scuffs, one picture, and nothing else to hold on to."""
     rng = np.random.default_rng([seed, 2])
     x, y, z = SIZE_M
     faces = []
     for width, height in ((y, z), (y, z), (x, z), (x, z), (x, y), (x, y)):
         canvas = Canvas(width, height, 176)
         canvas.mottle(rng, 3.0, 0.9)
+        for _ in range(round(0.8 * width * height)):
+            w, h = rng.uniform(0.04, 0.14, 2)
+            canvas.rectangle(
+                rng.uniform(0, width - w), rng.uniform(0, height - h), w, h, 176 + rng.choice([-18, -10, 12])
+            )
         faces.append(canvas)
     posters.frame(faces[1], 3.6, 1.1, 0.8, 0.6, 90)
     posters.landscape(faces[1], rng, 3.6, 1.1, 0.8, 0.6)
@@ -45,49 +52,43 @@ BOXES = (
     ("cabinet", (-0.1, 0.1), (1.3, 0.8, 0.9), 15.0, 0.0),
     ("cardboard", (-0.35, 0.15), (0.5, 0.45, 0.4), 40.0, 0.9),
     ("crate", (0.25, 0.0), (0.45, 0.45, 0.45), 5.0, 0.9),
-    ("books", (4.35, 2.6), (0.5, 1.6, 2.1), 0.0, 0.0),
-    ("crate", (4.2, -1.5), (0.8, 0.8, 0.8), 20.0, 0.0),
-    ("cardboard", (4.2, -1.5), (0.5, 0.4, 0.4), -15.0, 0.8),
-    ("cardboard", (2.6, 3.4), (0.7, 0.6, 0.6), -25.0, 0.0),
-    ("cabinet", (-1.6, 3.55), (1.8, 0.6, 0.95), 0.0, 0.0),
-    ("cardboard", (-2.0, 3.55), (0.4, 0.35, 0.35), 10.0, 0.95),
-    ("crate", (-4.3, 2.7), (0.9, 0.7, 1.1), -10.0, 0.0),
-    ("books", (-4.55, -1.2), (0.45, 1.8, 1.9), 0.0, 0.0),
-    ("cardboard", (-3.9, -3.2), (0.8, 0.7, 0.7), 30.0, 0.0),
-    ("cardboard", (-3.9, -3.2), (0.5, 0.5, 0.4), 5.0, 0.7),
-    ("books", (0.4, -3.7), (2.2, 0.4, 1.5), 0.0, 0.0),
-    ("crate", (3.3, -3.3), (0.7, 0.7, 0.6), 35.0, 0.0),
+    ("books", (5.7, 2.9), (0.5, 1.8, 2.1), 0.0, 0.0),
+    ("crate", (5.2, -1.5), (0.8, 0.8, 0.8), 20.0, 0.0),
+    ("cardboard", (5.2, -1.5), (0.5, 0.4, 0.4), -15.0, 0.8),
+    ("cardboard", (3.9, 4.3), (0.7, 0.6, 0.6), -25.0, 0.0),
+    ("books", (1.3, 4.75), (1.6, 0.45, 1.1), 0.0, 0.0),
+    ("cabinet", (-2.2, 4.6), (1.8, 0.6, 0.95), 0.0, 0.0),
+    ("cardboard", (-2.6, 4.6), (0.4, 0.35, 0.35), 10.0, 0.95),
+    ("crate", (-5.2, 3.5), (0.9, 0.7, 1.1), -10.0, 0.0),
+    ("books", (-5.7, -0.6), (0.45, 2.0, 1.9), 0.0, 0.0),
+    ("cardboard", (-4.9, -4.0), (0.8, 0.7, 0.7), 30.0, 0.0),
+    ("cardboard", (-4.9, -4.0), (0.5, 0.5, 0.4), 5.0, 0.7),
+    ("books", (0.2, -4.75), (2.2, 0.4, 1.5), 0.0, 0.0),
+    ("crate", (-2.4, -4.5), (0.6, 0.6, 0.5), -20.0, 0.0),
+    ("crate", (4.2, -4.1), (0.7, 0.7, 0.6), 35.0, 0.0),
 )
 
 
 def _wall(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
+    """Columns of two or three pictures between the ceiling and the wainscot."""
     canvas = Canvas(width, height, 188)
     canvas.mottle(rng, 5.0, 0.25)
     _wainscot(canvas, rng)
-    top, bottom = 0.35, height - WAINSCOT_M - 0.18
-    left, kind = 0.25, int(rng.integers(len(posters.POSTERS)))
+    left, kind = 0.2, int(rng.integers(len(posters.POSTERS)))
     while left < width - 0.6:
-        w = min(rng.uniform(0.7, 1.25), width - 0.25 - left)
-        poster = posters.POSTERS[kind % len(posters.POSTERS)]
-        if w > 0.9 and rng.random() < 0.75:
-            h = rng.uniform(0.75, 0.95)
-            _hang(canvas, rng, poster, left, top + rng.uniform(0.0, 0.1), w, h)
-            second = posters.POSTERS[(kind + 3) % len(posters.POSTERS)]
-            rest = bottom - (top + h + 0.3)
-            _hang(canvas, rng, second, left + 0.08, top + h + 0.27, 0.75 * w, rest)
-        else:
-            h = rng.uniform(1.15, 1.5)
-            _hang(canvas, rng, poster, left, top + rng.uniform(0.0, 0.3), w, h)
-        kind += 1
-        left += w + rng.uniform(0.22, 0.42)
+        w = min(rng.uniform(0.6, 1.05), width - 0.2 - left)
+        shares = rng.permutation(SPLITS[rng.integers(len(SPLITS))])
+        top, bottom = 0.25 + rng.uniform(0.0, 0.15), height - WAINSCOT_M - 0.15 - rng.uniform(0.0, 0.12)
+        free = bottom - top - GAP_M * (len(shares) - 1)
+        for h in shares * free:
+            narrow = rng.uniform(0.8, 1.0) * w
+            x = left + rng.uniform(0.0, w - narrow)
+            posters.frame(canvas, x, top, narrow, h, rng.choice([25, 60, 235]))
+            posters.POSTERS[kind % len(posters.POSTERS)](canvas, rng, x, top, narrow, h)
+            top += h + GAP_M
+            kind += 1
+        left += w + rng.uniform(0.18, 0.3)
     return _lit(canvas).pixels
-
-
-def _hang(
-    canvas: Canvas, rng: np.random.Generator, poster: posters.Poster, x: float, y: float, width: float, height: float
-) -> None:
-    posters.frame(canvas, x, y, width, height, rng.choice([25, 60, 235]))
-    poster(canvas, rng, x, y, width, height)
 
 
 def _wainscot(canvas: Canvas, rng: np.random.Generator) -> None:
@@ -117,7 +118,7 @@ def _floor(rng: np.random.Generator, width: float, height: float, boxes: list[So
                 cx, cy, r = (i + 0.5) * side, (j + 0.5) * side, rng.uniform(0.06, 0.15)
                 canvas.polygon([(cx, cy - r), (cx + r, cy), (cx, cy + r), (cx - r, cy)], rng.choice([55, 225]))
     canvas.mottle(rng, 6.0, 0.12)
-    for x, y, w, h in ((3.4, 0.6, 2.6, 1.6), (6.8, 5.4, 2.2, 1.5), (0.8, 3.2, 1.5, 2.2)):
+    for x, y, w, h in ((4.2, 0.9, 2.6, 1.6), (8.2, 7.0, 2.2, 1.5), (1.0, 4.2, 1.5, 2.2), (9.6, 2.6, 1.4, 2.0)):
         canvas.rectangle(x, y, w, h, 45)
         canvas.rectangle(x + 0.08, y + 0.08, w - 0.16, h - 0.16, 215)
         posters.quilt(canvas, rng, x + 0.16, y + 0.16, w - 0.32, h - 0.32)
@@ -236,13 +237,15 @@ def _books(rng: np.random.Generator, width: float, height: float) -> Canvas:
         canvas.rectangle(0, (row + 0.9) * h, width, 0.1 * h, 170)
         left = 0.03
         while left < width - 0.06:
-            w = min(rng.uniform(0.035, 0.1), width - 0.03 - left)
+            w = min(rng.uniform(0.04, 0.11), width - 0.03 - left)
             tall = h * rng.uniform(0.55, 0.84)
-            grey = rng.choice([60, 95, 130, 165, 200, 240])
+            grey = rng.choice([65, 90, 115, 140, 165, 190, 220])
             top = (row + 0.9) * h - tall
             if rng.random() < 0.9:
                 canvas.rectangle(left, top, w, tall, grey)
-                canvas.rectangle(left, top + rng.uniform(0.1, 0.6) * tall, w, 0.18 * tall, 240 if grey < 130 else 40)
+                canvas.rectangle(
+                    left, top + rng.uniform(0.1, 0.6) * tall, w, 0.16 * tall, grey + (70 if grey < 140 else -70)
+                )
             left += w + 0.006
     return canvas
 
