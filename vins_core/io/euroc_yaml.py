@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CalibrationError
+from ..geometry import camera as geometry_camera
 from ..geometry import se3
 from ..geometry.camera import CameraModel, camera_from_dict
 from ..sensors import Calibration, CameraCalibration, ImuNoise
@@ -49,6 +50,39 @@ def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...
         sources=(str(camera.path), str(imu.path)),
     )
     return calibration, {}, tuple(notes)
+
+
+def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
+    """What `read` expects of an IMU's file, and what EuRoC's format has no key for: gravity and the kind of noise."""
+    noise = calibration.noise
+    return {
+        "T_BS": _matrix(np.eye(4)),
+        "gyroscope_noise_density": noise.gyr_n,
+        "gyroscope_random_walk": noise.gyr_w,
+        "accelerometer_noise_density": noise.acc_n,
+        "accelerometer_random_walk": noise.acc_w,
+        "noise_kind": noise.kind,
+        "gravity_m_s2": calibration.gravity_m_s2,
+    }
+
+
+def camera_to_dict(camera: CameraCalibration, td_s: float) -> dict[str, Any]:
+    """What `read` expects of a camera's file."""
+    values = geometry_camera.camera_to_dict(camera.model)
+    words, coefficients = next((words, names) for words, (model, names) in MODELS.items() if model == values["model"])
+    return {
+        "T_BS": _matrix(camera.T_b_c),
+        "resolution": [values["width"], values["height"]],
+        "camera_model": words[0],
+        "intrinsics": [values[k] for k in ("fx", "fy", "cx", "cy")],
+        "distortion_model": words[1],
+        "distortion_coefficients": [values[k] for k in coefficients],
+        "td_s": td_s,
+    }
+
+
+def _matrix(T: np.ndarray) -> dict[str, Any]:
+    return {"cols": 4, "rows": 4, "data": T.ravel().tolist()}
 
 
 def _one(files: list[Keys], kind: str) -> Keys:

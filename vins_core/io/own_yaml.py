@@ -27,7 +27,7 @@ parameters:                    # optional, as with --set
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,8 +95,10 @@ def _topic(keys: Keys) -> str:
     return str(keys.content.get("topic") or "")
 
 
-def write(path: Path | str, calibration: Calibration, overrides: Mapping[str, Any] | None = None) -> None:
-    """Write a file that `read` gives back equal, to the last bit; refuses an existing one."""
+def write(
+    path: Path | str, calibration: Calibration, overrides: Mapping[str, Any] | None = None, notes: Sequence[str] = ()
+) -> None:
+    """Write a file that `read` gives back equal, to the last bit; refuses an existing one.  Notes become comments."""
     path = Path(path)
     content: dict[str, Any] = {
         "vinspect_calibration": VERSION,
@@ -111,15 +113,16 @@ def write(path: Path | str, calibration: Calibration, overrides: Mapping[str, An
     }
     if overrides:
         content["parameters"] = dict(overrides)
-    dump(path, content)
+    dump(path, content, notes)
 
 
-def dump(path: Path, content: Mapping[str, Any]) -> None:
+def dump(path: Path, content: Mapping[str, Any], notes: Sequence[str] = ()) -> None:
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = None
     yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     try:
         with path.open("x", encoding="utf-8") as file:
+            file.writelines(f"# {' '.join(note.split())}\n" for note in notes)
             yaml.dump(dict(content), file)
     except FileExistsError as error:
         raise OutputError(f"{path}: exists already and is not overwritten; choose another name") from error

@@ -253,7 +253,7 @@ class Recording(ABC):
 def open_recording(path: Path | str, topics: TopicChoice | Calibration | None = None) -> Recording:
     """Open a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder (mav0 or its parent)."""
     from .asl import AslRecording, find_mav0
-    from .rosbag import BagRecording  # type: ignore[import-not-found]
+    from .rosbag import BagRecording
 
     path = Path(path)
     if not path.exists():

@@ -122,7 +122,8 @@ def packets(
 def _check(recording: Recording, calibration: Calibration, td_ns: int) -> ImageRef:
     """The first image, once it is clear that the recording and the calibration go together."""
     images, imu = recording.stream(recording.image_topics[0]), recording.stream(recording.imu_topic)
-    assert images.first_ns and images.last_ns and imu.first_ns and imu.last_ns
+    assert images.first_ns is not None and images.last_ns is not None
+    assert imu.first_ns is not None and imu.last_ns is not None
     if imu.last_ns < images.first_ns + td_ns or imu.first_ns > images.last_ns + td_ns:
         raise RecordingError(
             f"{recording.path}: {imu.topic} ({_span(imu.first_ns, imu.last_ns)}) and {images.topic} "
