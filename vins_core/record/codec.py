@@ -2,7 +2,9 @@
 
 A blob holds named sections (msgpack, typed when decoded) and one table of arrays that the sections refer to:
 
-    directory length u32 | directory (msgpack) | padding | array bytes, each aligned to 16
+    sizes 3 x u32 | zlib (directory in msgpack, integer arrays) | floating-point arrays
+
+Each array is aligned to 16.  Integers (ids, stamps, indices) shrink to a sixth in no time; measured floats do not.
 
 An array that occurs twice in a blob is stored once.  Since state is immutable, one that is still the same object as
 in an earlier blob of a series is not stored at all: it is referred to by (blobs back, index).  So a sliding window
@@ -12,6 +14,7 @@ costs what changed, and every field added to the state is recorded without a lin
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import prod
@@ -28,7 +31,8 @@ ALIGNMENT = 16
 DTYPES = frozenset(("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f4", "<f8"))
 _EXT_ARRAY = 1
 _REFERENCE = struct.Struct("<II")  # blobs back, index in that blob's table
-_LENGTH = struct.Struct("<I")
+_SIZES = struct.Struct("<III")  # bytes of: the zlib stream, the directory in it, the integers in it
+_MAX_UNPACKED = 64 * 1024 * 1024
 
 
 class _Spec(msgspec.Struct, array_like=True, frozen=True):
@@ -36,7 +40,7 @@ class _Spec(msgspec.Struct, array_like=True, frozen=True):
 
     dtype: str
     shape: tuple[int, ...]
-    offset: int  # from the start of the array bytes
+    offset: int  # from the start of the integers or of the floats
     fortran: bool = False  # column-major: BLAS may add in another order, so the layout is part of the value
 
 
@@ -67,8 +71,18 @@ def pack_series(own: Mapping[str, Any], shared: Mapping[str, Any], ledger: Ledge
     encoded = {name: table.encode(value, own_only=True) for name, value in own.items()}
     encoded |= {name: table.encode(value, own_only=False) for name, value in shared.items()}
     directory = msgspec.msgpack.encode(_Directory(encoded, table.specs))
-    head = _LENGTH.pack(len(directory)) + directory
-    return b"".join((head, bytes(-len(head) % ALIGNMENT), *table.chunks)), Ledger(ledger.blob + 1, table.seen)
+    integers, floats = (b"".join(pool) for pool in (table.integers, table.floats))
+    packed = zlib.compress(_aligned(directory) + integers, 1)
+    head = _SIZES.pack(len(packed), len(directory), len(integers)) + packed
+    return _aligned(head) + floats, Ledger(ledger.blob + 1, table.seen)
+
+
+def _aligned(data: bytes) -> bytes:
+    return data + bytes(-len(data) % ALIGNMENT)
+
+
+def _is_integer(dtype: str) -> bool:
+    return dtype[1] != "f"
 
 
 class _Table:
@@ -76,11 +90,12 @@ class _Table:
 
     def __init__(self, ledger: Ledger) -> None:
         self.specs: list[_Spec] = []
-        self.chunks: list[bytes] = []
+        self.integers: list[bytes] = []
+        self.floats: list[bytes] = []
         self.seen: dict[int, tuple[np.ndarray, int, int]] = {}  # what the shared sections hold: the next ledger
         self._ledger = ledger
         self._by_content: dict[tuple[str, tuple[int, ...], bool, bytes], int] = {}
-        self._size = 0
+        self._sizes = [0, 0]  # of floats, of integers
 
     def encode(self, value: Any, own_only: bool) -> bytes:
         def hook(leaf: Any) -> Any:
@@ -110,10 +125,11 @@ class _Table:
         index = self._by_content.get(key)
         if index is None:
             index = self._by_content[key] = len(self.specs)
-            self.specs.append(_Spec(dtype, array.shape, self._size, fortran))
-            padding = -len(data) % ALIGNMENT
-            self.chunks += (data, bytes(padding))
-            self._size += len(data) + padding
+            integer = _is_integer(dtype)
+            self.specs.append(_Spec(dtype, array.shape, self._sizes[integer], fortran))
+            chunk = _aligned(data)
+            (self.integers if integer else self.floats).append(chunk)
+            self._sizes[integer] += len(chunk)
         return index
 
 
@@ -122,14 +138,26 @@ class Blob:
 
     def __init__(self, data: bytes, where: str) -> None:
         self._where = where
-        if len(data) < _LENGTH.size:
+        if len(data) < _SIZES.size:
             raise self._damaged("is too short")
-        end = _LENGTH.size + _LENGTH.unpack_from(data)[0]
-        if end > len(data):
-            raise self._damaged("announces a directory longer than itself")
-        directory = self._decode(_Directory, memoryview(data)[_LENGTH.size : end], None)
-        self._sections, self._arrays = directory.sections, directory.arrays
-        self._data = memoryview(data)[min(end + -end % ALIGNMENT, len(data)) :]
+        packed, directory, integers = _SIZES.unpack_from(data)
+        end = _SIZES.size + packed
+        inside = self._unpack(memoryview(data)[_SIZES.size : end], directory + -directory % ALIGNMENT + integers)
+        table = self._decode(_Directory, inside[:directory], None)
+        self._sections, self._arrays = table.sections, table.arrays
+        self._integers = inside[len(inside) - integers :]
+        self._floats = memoryview(data)[end + -end % ALIGNMENT :]
+
+    def _unpack(self, packed: memoryview, size: int) -> memoryview:
+        if size > _MAX_UNPACKED:
+            raise self._damaged(f"announces a directory of {size} bytes")
+        try:
+            inside = zlib.decompressobj().decompress(packed, size + 1)
+        except zlib.error as problem:
+            raise self._damaged(f"cannot be unpacked ({problem})") from None
+        if len(inside) != size:
+            raise self._damaged("does not unpack to the size it announces")
+        return memoryview(inside)
 
     def __contains__(self, section: str) -> bool:
         return section in self._sections
@@ -157,12 +185,13 @@ class Blob:
         spec = self._arrays[index]
         if spec.dtype not in DTYPES or len(spec.shape) > 8 or min(spec.shape, default=0) < 0 or spec.offset < 0:
             raise self._damaged(f"describes array {index} wrongly")
+        data = self._integers if _is_integer(spec.dtype) else self._floats
         count = prod(spec.shape)
-        if spec.offset + count * np.dtype(spec.dtype).itemsize > len(self._data):
+        if spec.offset + count * np.dtype(spec.dtype).itemsize > len(data):
             raise self._damaged(f"ends before its array {index}")
         if count == 0:
             return np.zeros(spec.shape, spec.dtype)
-        flat = np.frombuffer(self._data, spec.dtype, count, spec.offset)
+        flat = np.frombuffer(data, spec.dtype, count, spec.offset)
         return flat.reshape(spec.shape, order="F" if spec.fortran else "C")
 
     def _decode(self, kind: type[T], data: Any, hook: Any) -> T:

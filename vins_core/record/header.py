@@ -41,6 +41,7 @@ class RunHeader:
     expected_frames: int | None = None  # estimate made when the run started, for progress and time axes
     backend: str = ""  # what evaluates the factors
     embedded_images: bool = False
+    notes: tuple[str, ...] = ()  # what the calibration files said that was ignored or assumed
     created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     versions: Mapping[str, str] = field(default_factory=lambda: package_versions())
     cpu: str = field(default_factory=lambda: cpu_model())

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -133,7 +135,12 @@ def test_a_blob_with_any_changed_or_missing_bytes_decodes_or_raises_run_error(da
 def hostile(arrays: list[object], reference: bytes = bytes(8), code: int = 1) -> bytes:
     section = msgspec.msgpack.encode({"x": msgspec.msgpack.Ext(code, reference)})
     directory = msgspec.msgpack.encode([{"a": section}, arrays])
-    return len(directory).to_bytes(4, "little") + directory + bytes(64)
+    return packed(directory + bytes(-len(directory) % 16), len(directory), 0) + bytes(64)
+
+
+def packed(content: bytes, directory: int, integers: int) -> bytes:
+    stream = zlib.compress(content)
+    return struct.pack("<III", len(stream), directory, integers) + stream
 
 
 @pytest.mark.parametrize(
@@ -152,9 +159,15 @@ def hostile(arrays: list[object], reference: bytes = bytes(8), code: int = 1) ->
         hostile([["<f8", [1], 0]], reference=bytes(3)),
         hostile([["<f8", [1], 0]], code=99),
         hostile([["<f8", [1], 0]], reference=b"\x01\0\0\0\0\0\0\0"),
+        hostile([["<i8", [1], 0]]),
         b"\xff\xff\xff\xff",
-        b"\x05\0\0\0\xdd\xff\xff\xff\xff",
-        (10**6).to_bytes(4, "little") + b"\x91" * 10**6,
+        b"\xff" * 12,
+        b"\xff" * 100,
+        packed(b"\xdd\xff\xff\xff\xff" + bytes(11), 5, 0),
+        packed(b"\x91" * 10**6, 10**6, 0),
+        packed(bytes(10**7), 16, 0),  # unpacks to more than it says
+        packed(bytes(16), 16, 10**6),  # to less
+        packed(bytes(16), 2**31, 2**31),
     ],
 )
 def test_a_forged_blob_is_refused_by_name(data: bytes) -> None:
