@@ -12,7 +12,7 @@ from .trajectory import Channels, attitude
 
 REST_S = 0.5  # every moving scenario starts at rest
 RISE_S = 1.0  # and reaches its speed within this time
-LOOP_RADII_M = (3.0, 2.3)
+LOOP_RADII_M = (2.4, 1.8)
 LOOP_PERIOD_S = 20.0
 HEIGHT_M = 1.5
 
@@ -31,8 +31,8 @@ def run_up(t_s: np.ndarray, start_s: float, rise_s: float) -> np.ndarray:
 
 def sway(t_s: np.ndarray) -> np.ndarray:
     """What a hand adds to a path: (n, 6) with 1-3 m/s^2 and a few degrees, no two channels in step."""
-    amplitude = np.array([0.07, 0.07, 0.11, 0.07, 0.05, 0.06])  # m, rad
-    frequency_hz = np.array([0.61, 0.53, 0.71, 0.37, 0.47, 0.43])
+    amplitude = np.array([0.06, 0.06, 0.09, 0.07, 0.05, 0.06])  # m, rad
+    frequency_hz = np.array([0.61, 0.53, 0.67, 0.37, 0.47, 0.43])
     phase = np.array([0.3, 1.9, 0.0, 2.6, 1.1, 0.6])
     return amplitude * (np.sin(2 * np.pi * frequency_hz * t_s[:, None] + phase) - np.sin(phase))
 

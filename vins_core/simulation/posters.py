@@ -8,8 +8,8 @@ import numpy as np
 
 from .canvas import Canvas
 
-Poster = Callable[[Canvas, np.random.Generator, float, float, float, float], None]
-"""canvas, randomness, x, y, width, height in metres"""
+Poster = Callable[[Canvas, np.random.Generator, int, float, float, float, float], None]
+"""canvas, randomness, running number of the picture, then x, y, width, height in metres"""
 
 TITLES = (
     ("SLAM", "in a box room"),
@@ -26,6 +26,22 @@ TITLES = (
     ("DRIFT", "one per cent"),
     ("CORNER", "Harris, Shi, Tomasi"),
     ("PRIOR", "handle with care"),
+    ("NEWTON", "second order"),
+    ("ALLAN", "variance"),
+    ("HUBER", "robust"),
+    ("SCALE", "observe it"),
+    ("RANSAC", "vote early"),
+    ("FLOW", "Lucas, Kanade"),
+    ("SPLINE", "four times smooth"),
+    ("CAUCHY", "heavy tails"),
+    ("GRAVITY", "nine point eight"),
+    ("HAMILTON", "w x y z"),
+    ("JACOBI", "first order"),
+    ("DEPTH", "inverse is better"),
+    ("WINDOW", "ten and one"),
+    ("ANCHOR", "first seen here"),
+    ("FISHEYE", "beyond ninety"),
+    ("BIAS", "it walks"),
 )
 
 
@@ -35,11 +51,13 @@ def frame(canvas: Canvas, x: float, y: float, width: float, height: float, grey:
     canvas.rectangle(x - border, y - border, width + 2 * border, height + 2 * border, grey)
 
 
-def title(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def title(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """A headline, a figure and some lines of print."""
     dark = bool(rng.integers(2))
     paper, ink = (45, 235) if dark else (238, 30)
-    head, line = TITLES[rng.integers(len(TITLES))]
+    head, line = TITLES[number // 4 % len(TITLES)]  # two of eight POSTERS are titles: each comes once
     canvas.rectangle(x, y, width, height, paper)
     cap = min(0.16, 0.16 * height / 0.8)
     canvas.text(head, x + 0.06 * width, y + cap + 0.07 * height, cap, ink, 0.88 * width)
@@ -60,7 +78,9 @@ def title(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: f
             start += word + 0.03 * width
 
 
-def shapes(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def shapes(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """Discs, half discs and triangles on a grid, as in a Bauhaus print."""
     columns, rows = max(2, round(width / 0.22)), max(2, round(height / 0.22))
     w, h = width / columns, height / rows
@@ -89,7 +109,9 @@ def shapes(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: 
                 canvas.rectangle(left + 0.38 * w, top + 0.38 * h, 0.24 * w, 0.24 * h, third)
 
 
-def landscape(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def landscape(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """Ridges under a moon."""
     canvas.rectangle(x, y, width, height, 215)
     canvas.circle(x + width * rng.uniform(0.2, 0.8), y + 0.22 * height, 0.1 * min(width, height), 250)
@@ -109,7 +131,9 @@ def landscape(canvas: Canvas, rng: np.random.Generator, x: float, y: float, widt
                     )
 
 
-def skyline(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def skyline(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """A town at night with some windows lit."""
     canvas.rectangle(x, y, width, height, 60)
     left = x
@@ -132,7 +156,9 @@ def skyline(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width:
         left += w
 
 
-def plot(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def plot(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """Axes, a grid and three curves with markers."""
     canvas.rectangle(x, y, width, height, 245)
     left, top, w, h = x + 0.1 * width, y + 0.08 * height, 0.84 * width, 0.8 * height
@@ -151,7 +177,9 @@ def plot(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: fl
             canvas.rectangle(point[0] - 0.02, point[1] - 0.02, 0.04, 0.04, grey)
 
 
-def mondrian(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def mondrian(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """Panes of different greys between dark bars."""
     canvas.rectangle(x, y, width, height, 20)
     panes = [(x, y, width, height)]
@@ -167,7 +195,9 @@ def mondrian(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width
         canvas.rectangle(px + 0.012, py + 0.012, pw - 0.024, ph - 0.024, rng.choice([75, 130, 175, 225, 250]))
 
 
-def quilt(canvas: Canvas, rng: np.random.Generator, x: float, y: float, width: float, height: float) -> None:
+def quilt(
+    canvas: Canvas, rng: np.random.Generator, number: int, x: float, y: float, width: float, height: float
+) -> None:
     """Triangles in many shades."""
     columns, rows = max(3, round(width / 0.16)), max(3, round(height / 0.16))
     w, h = width / columns, height / rows

@@ -20,7 +20,10 @@ def furnished(seed: int) -> World:
     """A room of 12 x 10 x 3.4 m centred on the origin, floor at z = 0; nothing stands within the loop's path."""
     rng = np.random.default_rng([seed, 1])
     x, y, z = SIZE_M
-    walls = [_wall(rng, width, z) for width in (y, y, x, x)]
+    walls, pictures = [], 0
+    for width in (y, y, x, x):
+        wall, pictures = _wall(rng, width, z, pictures)
+        walls.append(wall)
     boxes = [_box(rng, *place) for place in BOXES]
     floor = _floor(rng, x, y, boxes)
     textures = (*walls, floor, _ceiling(rng, x, y))
@@ -42,7 +45,7 @@ def bare(seed: int) -> World:
             )
         faces.append(canvas)
     posters.frame(faces[1], 3.6, 1.1, 0.8, 0.6, 90)
-    posters.landscape(faces[1], rng, 3.6, 1.1, 0.8, 0.6)
+    posters.landscape(faces[1], rng, 0, 3.6, 1.1, 0.8, 0.6)
     textures = tuple(_lit(canvas).pixels for canvas in faces)
     return World(Solid(np.array([0.0, 0.0, z / 2]), SIZE_M, textures, hollow=True), ())
 
@@ -69,12 +72,12 @@ BOXES = (
 )
 
 
-def _wall(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
-    """Columns of two or three pictures between the ceiling and the wainscot."""
+def _wall(rng: np.random.Generator, width: float, height: float, pictures: int) -> tuple[np.ndarray, int]:
+    """Columns of two or three pictures between the ceiling and the wainscot, numbered on from `pictures`."""
     canvas = Canvas(width, height, 188)
     canvas.mottle(rng, 5.0, 0.25)
     _wainscot(canvas, rng)
-    left, kind = 0.2, int(rng.integers(len(posters.POSTERS)))
+    left = 0.2
     while left < width - 0.6:
         w = min(rng.uniform(0.6, 1.05), width - 0.2 - left)
         shares = rng.permutation(SPLITS[rng.integers(len(SPLITS))])
@@ -84,11 +87,11 @@ def _wall(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
             narrow = rng.uniform(0.8, 1.0) * w
             x = left + rng.uniform(0.0, w - narrow)
             posters.frame(canvas, x, top, narrow, h, rng.choice([25, 60, 235]))
-            posters.POSTERS[kind % len(posters.POSTERS)](canvas, rng, x, top, narrow, h)
+            posters.POSTERS[pictures % len(posters.POSTERS)](canvas, rng, pictures, x, top, narrow, h)
             top += h + GAP_M
-            kind += 1
+            pictures += 1
         left += w + rng.uniform(0.18, 0.3)
-    return _lit(canvas).pixels
+    return _lit(canvas).pixels, pictures
 
 
 def _wainscot(canvas: Canvas, rng: np.random.Generator) -> None:
@@ -121,7 +124,7 @@ def _floor(rng: np.random.Generator, width: float, height: float, boxes: list[So
     for x, y, w, h in ((4.2, 0.9, 2.6, 1.6), (8.2, 7.0, 2.2, 1.5), (1.0, 4.2, 1.5, 2.2), (9.6, 2.6, 1.4, 2.0)):
         canvas.rectangle(x, y, w, h, 45)
         canvas.rectangle(x + 0.08, y + 0.08, w - 0.16, h - 0.16, 215)
-        posters.quilt(canvas, rng, x + 0.16, y + 0.16, w - 0.32, h - 0.32)
+        posters.quilt(canvas, rng, 0, x + 0.16, y + 0.16, w - 0.32, h - 0.32)
     right, down = canvas.grid_m()
     light = np.ones(canvas.pixels.shape)
     for box in boxes:
@@ -253,7 +256,7 @@ def _books(rng: np.random.Generator, width: float, height: float) -> Canvas:
 def _lid(rng: np.random.Generator, width: float, height: float) -> Canvas:
     canvas = Canvas(width, height, rng.uniform(140, 190))
     canvas.rectangle(0, 0.45 * height, width, 0.1 * height, 215)
-    posters.quilt(canvas, rng, 0.12 * width, 0.1 * height, 0.3 * width, 0.28 * height)
+    posters.quilt(canvas, rng, 0, 0.12 * width, 0.1 * height, 0.3 * width, 0.28 * height)
     canvas.rectangle(0.6 * width, 0.65 * height, 0.25 * width, 0.2 * height, 40)
     return canvas
 

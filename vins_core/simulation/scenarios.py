@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -60,6 +61,7 @@ class Scenario:
     imu_gaps: tuple[Interval, ...] = ()
     believed_td_s: float = 0.0  # what the calibration says
     believed_rotation_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of R_b_c, about the camera's axes
+    parameters: Mapping[str, Any] = MappingProxyType({"frontend.min_dist": 15})  # for images of half EuRoC's size
 
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(

@@ -41,7 +41,7 @@ class Exposure:
     flicker: float = 0.03  # amplitude of the brightness, as a share
     exposure_s: float = 0.0  # motion blur over this time, centred on the stamp
     readout_s: float = 0.0  # rolling shutter: first to last row, centred on the stamp
-    jpeg_quality: int = 90
+    jpeg_quality: int = 80
 
 
 @dataclass(frozen=True)

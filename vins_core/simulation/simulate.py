@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import ParameterError
 from ..geometry import so3
+from ..io.calibration import Settings
 from ..io.messages import ImageMessage, ImuMessage, Message, TruthMessage
 from ..sensors import Calibration, CameraCalibration, ImuSamples, Trajectory
 from .render import Renderer
@@ -40,6 +41,14 @@ class Simulation:
     calibration: Calibration  # as the user has it: wrong where the scenario says so
     true_calibration: Calibration
     renderer: Renderer
+
+    @property
+    def settings(self) -> Settings:
+        """What to write beside the recording."""
+        note = (
+            f"Simulated by vinspect: scenario {self.name}, seed {self.seed}, {self.duration_s:g} s. {self.scenario.doc}"
+        )
+        return Settings(self.calibration, dict(self.scenario.parameters), (note,))
 
     def image(self, index: int) -> np.ndarray:
         """(rows, columns) uint8."""
