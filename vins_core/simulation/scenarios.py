@@ -61,7 +61,7 @@ class Scenario:
     imu_gaps: tuple[Interval, ...] = ()
     believed_td_s: float = 0.0  # what the calibration says
     believed_rotation_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of R_b_c, about the camera's axes
-    parameters: Mapping[str, Any] = MappingProxyType({"frontend.min_dist": 15})  # for images of half EuRoC's size
+    parameters: Mapping[str, Any] = field(default_factory=lambda: {"frontend.min_dist": 15})  # images are small
 
 
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
