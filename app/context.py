@@ -101,4 +101,5 @@ class PanelContext:
     width: int  # of the image, px
     height: int
     playing: bool = False
-    progress: str = ""  # what the estimator is doing while it still runs, e.g. "frame 120, 8.1 of 16.0 s"
+    signals: tuple[str, ...] = ()  # names of the signals the layout wants plotted; empty: all
+    progress: str = ""  # what the estimator is doing while it still runs, one sentence

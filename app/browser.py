@@ -1,0 +1,90 @@
+"""The one place that reaches into the page: the boot fragment, and events from html back to the session.
+
+viser's `add_html` runs no scripts, so one invisible image whose `onerror` fires when it is mounted installs
+page.js and the style sheet.  Events come back as JSON in a hidden text input and are checked here; anything that is
+not one of the events below is ignored.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable
+from importlib import resources
+
+import msgspec
+import viser
+
+from .style import CSS
+from .tooltips import page_tips
+
+
+class Seek(msgspec.Struct, tag_field="k", tag="seek"):
+    f: float  # share of the run, 0..1
+
+
+class GoTo(msgspec.Struct, tag_field="k", tag="frame"):
+    i: int
+
+
+class Step(msgspec.Struct, tag_field="k", tag="step"):
+    d: int  # +1 or -1
+    kf: bool = False  # to the next keyframe
+
+
+class Play(msgspec.Struct, tag_field="k", tag="play"):
+    pass
+
+
+class Pick(msgspec.Struct, tag_field="k", tag="pick"):
+    t: str  # "track" or "frame"
+    i: int  # -1 clears
+
+
+class Knob(msgspec.Struct, tag_field="k", tag="knob"):
+    key: str  # "section.name" of a parameter
+
+
+class Page(msgspec.Struct, tag_field="k", tag="page"):
+    panels: tuple[str, ...]  # KEYs of the panels that can be seen
+    width: int  # of the page, CSS px
+    height: int
+    canvas: int  # width of the 3D view
+
+
+Event = Seek | GoTo | Step | Play | Pick | Knob | Page
+_DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
+
+
+def decode(text: str) -> Event | None:
+    """The event in `text`, None when it is none of ours."""
+    try:
+        return _DECODER.decode(text)
+    except msgspec.MsgspecError:
+        return None
+
+
+def boot_fragment(bridge: str) -> str:
+    """Html that installs page.js, style sheet and tooltips once it is mounted; `bridge` is the hidden input's id."""
+    script = resources.files("app").joinpath("page.js").read_text("utf-8")
+    for name, value in (("__BRIDGE__", bridge), ("__CSS__", CSS), ("__TIPS__", page_tips())):
+        script = script.replace(name, json.dumps(value))
+    return f'<img alt="" src="data:," style="display:none" onerror="{html.escape(script)}">'
+
+
+class Bridge:
+    """Events from one page, in order.  `on_event` runs on the server's event loop."""
+
+    def __init__(self, gui: viser.GuiApi, on_event: Callable[[Event], None]) -> None:
+        self._gui = gui
+        self._box = gui.add_text("events", "", visible=False)
+
+        @self._box.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            event = decode(self._box.value)
+            if event is not None:
+                on_event(event)
+
+    def install(self) -> None:
+        """Add the boot fragment here: a place that the page mounts at once, not a hidden tab or a minimised panel."""
+        self._gui.add_html(boot_fragment(self._box._impl.uuid))

@@ -1,0 +1,101 @@
+"""Layouts: which panels stand where, which layers are drawn, which signals are plotted.  `layouts/<name>.json`.
+
+Widths are shares of the page; a floating panel is given by its gaps to the edges of the 3D view, as in CSS.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from vins_core.errors import ParameterError
+
+from .places import shipped
+
+SCHEMA = "vinspect/layout@1"
+MAX_BYTES = 256 * 1024
+
+
+class Float(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Gaps to the edges of the 3D view in CSS px; the panel spans from left to right and is as high as its content."""
+
+    left: int = 12
+    right: int = 12
+    bottom: int = 12
+
+
+class Panel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A window with tabs; the first tab is shown.  Exactly one of `dock`, `below` and `float` says where it stands."""
+
+    tabs: tuple[str, ...]
+    dock: Literal["left", "right", ""] = ""
+    width: float = 0.0  # share of the page, when docked
+    below: str = ""  # name of a docked panel
+    floating: Float | None = msgspec.field(default=None, name="float")
+
+
+class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    schema: str
+    name: str
+    title: str
+    panels: dict[str, Panel]
+    hotkey: str = ""  # "alt+1"
+    layers: dict[str, bool] = {}  # layers of the 3D view that differ from their default
+    signals: tuple[str, ...] = ()  # empty: all
+    camera: Literal["fit", "follow"] = "fit"
+
+
+class Placement(msgspec.Struct, frozen=True):
+    """Pixels of one panel on a page."""
+
+    width: int
+    x: int = 0
+    y: int = 0
+
+
+def read_layout(path: Path) -> Layout:
+    """Raises ParameterError, naming the file and what is wrong in it."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ParameterError(f"layout {path} is larger than {MAX_BYTES} bytes; a layout is a small JSON file")
+        layout = msgspec.json.decode(path.read_bytes(), type=Layout)
+    except OSError as problem:
+        raise ParameterError(f"layout {path} cannot be read: {problem.strerror}") from None
+    except msgspec.MsgspecError as problem:
+        raise ParameterError(f"layout {path} is not a layout: {problem}") from None
+    if layout.schema != SCHEMA:
+        raise ParameterError(f"layout {path} has schema {layout.schema!r}, expected {SCHEMA!r}")
+    for name, panel in layout.panels.items():
+        if [bool(panel.dock), bool(panel.below), panel.floating is not None].count(True) != 1 or not panel.tabs:
+            raise ParameterError(f"layout {path}, panel {name!r}: needs tabs and one of dock, below and float")
+        if panel.dock and not 0.05 <= panel.width <= 0.8:
+            raise ParameterError(f"layout {path}, panel {name!r}: width must be 0.05 to 0.8 of the page")
+        if panel.below and (panel.below not in layout.panels or not layout.panels[panel.below].dock):
+            raise ParameterError(f"layout {path}, panel {name!r}: {panel.below!r} is not a docked panel")
+    return layout
+
+
+def shipped_layouts() -> list[Layout]:
+    """The layouts that come with the program, by hotkey."""
+    return sorted((read_layout(p) for p in sorted(shipped("layouts").glob("*.json"))), key=lambda layout: layout.hotkey)
+
+
+def canvas_width(layout: Layout, page_width: int) -> int:
+    """Width left for the 3D view between the docked panels."""
+    return page_width - sum(round(p.width * page_width) for p in layout.panels.values() if p.dock)
+
+
+def place(layout: Layout, page_width: int, canvas: int | None = None) -> dict[str, Placement]:
+    """Pixels of every panel that has some of its own; `canvas` is the 3D view's width where it is known."""
+    if canvas is None:
+        canvas = canvas_width(layout, page_width)
+    placed = {}
+    for name, panel in layout.panels.items():
+        if panel.dock:
+            placed[name] = Placement(round(panel.width * page_width))
+        elif panel.floating:
+            gaps = panel.floating
+            placed[name] = Placement(max(canvas - gaps.left - gaps.right, 260), gaps.left, -gaps.bottom)
+    return placed

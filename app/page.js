@@ -1,0 +1,119 @@
+// The page's half of the interface: sends events to the session, takes the arrow keys, zooms images, and says which
+// panels can be seen.  One object, `vi`; a page that reconnects gets a new bridge and keeps the rest.
+(() => {
+  const vi = (window.vi = window.vi || { sent: 0, x: 0, y: 0, z: 1, scrubbed: 0 });
+  if (vi.bridge === __BRIDGE__) return;
+  vi.bridge = __BRIDGE__;
+
+  let style = document.getElementById("vi-css");
+  if (!style) {
+    style = Object.assign(document.createElement("style"), { id: "vi-css" });
+    document.head.append(style);
+  }
+  style.textContent = __CSS__;
+  vi.tips = __TIPS__;
+
+  // viser has no public way for html to call the server, so events travel as the value of a hidden text input.
+  vi.send = (event) => {
+    const link = window.__viserMutable;
+    if (!link || !link.sendMessage) return;
+    const value = JSON.stringify({ ...event, n: ++vi.sent });
+    link.sendMessage({ type: "GuiUpdateMessage", uuid: vi.bridge, updates: { value } });
+  };
+
+  vi.scrub = (e, el) => {
+    if (e.type === "pointerdown") el.setPointerCapture(e.pointerId);
+    else if (!(e.buttons & 1) || performance.now() - vi.scrubbed < 33) return;
+    vi.scrubbed = performance.now();
+    const box = el.getBoundingClientRect();
+    vi.send({ k: "seek", f: Math.min(1, Math.max(0, (e.clientX - box.left) / box.width)) });
+  };
+
+  // Zoom and pan live in CSS variables, so that they survive new html.
+  vi.place = (box) => {
+    const keep = (v, size) => Math.min(0, Math.max(size * (1 - vi.z), v));
+    vi.x = keep(vi.x, box.width);
+    vi.y = keep(vi.y, box.height);
+    const root = document.documentElement.style;
+    root.setProperty("--vi-x", vi.x + "px");
+    root.setProperty("--vi-y", vi.y + "px");
+    root.setProperty("--vi-z", vi.z);
+    document.documentElement.classList.toggle("vi-magnified", vi.z > 2.5);
+  };
+  vi.wheel = (e, el) => {
+    e.preventDefault();
+    const box = el.getBoundingClientRect();
+    const z = Math.min(12, Math.max(1, vi.z * Math.exp(-e.deltaY * 0.0016)));
+    const at = [e.clientX - box.left, e.clientY - box.top];
+    vi.x = at[0] - ((at[0] - vi.x) * z) / vi.z;
+    vi.y = at[1] - ((at[1] - vi.y) * z) / vi.z;
+    vi.z = z;
+    vi.place(box);
+  };
+  vi.pan = (e) => {
+    if (!(e.buttons & 1) || vi.z === 1) return;
+    vi.x += e.movementX;
+    vi.y += e.movementY;
+    vi.place(e.currentTarget.getBoundingClientRect());
+  };
+  vi.reset = () => {
+    vi.z = 1;
+    vi.place({ width: 0, height: 0 });
+  };
+
+  // Only what can be seen is rendered; only the page knows what that is, and how wide the 3D view is.
+  vi.reported = "";
+  vi.report = () => {
+    const seen = [...document.querySelectorAll("[data-vip]")].filter((el) => el.offsetParent !== null);
+    const panels = [...new Set(seen.map((el) => el.dataset.vip))].sort();
+    const canvas = document.querySelector("canvas");
+    const width = canvas ? Math.round(canvas.parentElement.getBoundingClientRect().width) : 0;
+    const event = { k: "page", panels, width: window.innerWidth, height: window.innerHeight, canvas: width };
+    const text = JSON.stringify(event);
+    if (text !== vi.reported) {
+      vi.reported = text;
+      vi.send(event);
+    }
+  };
+  clearInterval(vi.timer);
+  vi.timer = setInterval(vi.report, 200);
+  vi.report();
+
+  if (vi.listening) return;
+  vi.listening = true;
+
+  // What a name means, while the pointer rests on it.
+  const tip = Object.assign(document.createElement("div"), { className: "vi-tip", hidden: true });
+  document.body.append(tip);
+  document.addEventListener("mouseover", (e) => {
+    const el = e.target.closest?.("[data-tip]");
+    const content = el && vi.tips[el.dataset.tip];
+    tip.hidden = !content;
+    if (!content) return;
+    tip.innerHTML = content;
+    const [at, own] = [el.getBoundingClientRect(), tip.getBoundingClientRect()];
+    const below = at.bottom + 6 + own.height < window.innerHeight;
+    tip.style.left = Math.max(6, Math.min(at.left, window.innerWidth - own.width - 6)) + "px";
+    tip.style.top = (below ? at.bottom + 6 : Math.max(6, at.top - 6 - own.height)) + "px";
+  });
+
+  // In the capture phase: the 3D view and the tab strips would take the arrow keys too.
+  const typing = "input:not([type=range]):not([type=checkbox]), textarea, [contenteditable=true]";
+  const modal = ".mantine-Modal-content, .mantine-Spotlight-content";
+  window.addEventListener(
+    "keydown",
+    (e) => {
+      if (e.key !== "ArrowLeft" && e.key !== "ArrowRight") return;
+      if (e.altKey || e.ctrlKey || e.metaKey || e.target.closest?.(typing) || document.querySelector(modal)) return;
+      e.preventDefault();
+      e.stopImmediatePropagation();
+      vi.send({ k: "step", d: e.key === "ArrowRight" ? 1 : -1, kf: e.shiftKey });
+    },
+    true,
+  );
+  // A focused tab, slider or button would swallow the next key.
+  document.addEventListener("click", (e) => {
+    if (e.target.closest("[role=tab], [role=slider], button")) document.activeElement?.blur();
+    setTimeout(vi.report, 30);
+  });
+})();

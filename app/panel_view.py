@@ -1,0 +1,64 @@
+"""A panel in a tab: renders only what can be seen, sends only what changed."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import pkgutil
+from collections.abc import Mapping
+from types import MappingProxyType, ModuleType
+
+import viser
+
+from . import panels
+from .context import PanelContext
+from .html import tag
+
+log = logging.getLogger("vinspect")
+
+
+def _find_panels() -> Mapping[str, ModuleType]:
+    modules = (importlib.import_module(f"{panels.__name__}.{m.name}") for m in pkgutil.iter_modules(panels.__path__))
+    return MappingProxyType({module.KEY: module for module in modules})
+
+
+PANELS = _find_panels()
+"""Every module in `app/panels` by its KEY: a new panel is one new file."""
+
+
+class PanelView:
+    """One panel of one session; see context.py for what a panel module offers."""
+
+    def __init__(self, gui: viser.GuiApi, module: ModuleType) -> None:
+        self.module = module
+        self.key: str = module.KEY
+        self._backdrop = gui.add_html("") if hasattr(module, "backdrop") else None
+        self._backdrop_of: tuple[object, ...] = ()
+        self._body = gui.add_html(str(tag("div", cls="vi", data_vip=self.key)))
+
+    def render(self, ctx: PanelContext) -> None:
+        grown = (len(ctx.run), ctx.signals)
+        try:
+            if self._backdrop is not None and self._backdrop_of != grown:
+                self._backdrop.content = str(self.module.backdrop(ctx))
+                self._backdrop_of = grown
+            content = str(self.module.render(ctx))
+            if self._backdrop is not None:
+                content = playhead(ctx.frame, len(ctx.run)) + content
+        except Exception as problem:  # a bug in one panel must not blank the others
+            log.exception("panel %s, frame %d", self.key, ctx.frame)
+            content = message(self.key, f"This panel failed at frame {ctx.frame} ({type(problem).__name__}).")
+        if self._body.content != content:
+            self._body.content = content
+
+    def say(self, sentence: str) -> None:
+        self._body.content = message(self.key, sentence)
+
+
+def message(key: str, sentence: str) -> str:
+    return str(tag("div", tag("p", sentence, cls="vi-empty"), cls="vi", data_vip=key))
+
+
+def playhead(k: int, n: int) -> str:
+    """Moves the playheads in backdrops without sending the plots again."""
+    return f"<style>:root{{--vi-head:{k / max(n - 1, 1):.5f}!important}}</style>"

@@ -1,0 +1,389 @@
+"""One browser tab: its cursor, its selection, its panels and its 3D view.  The only mutable object of the interface.
+
+Everything it adds is client-scoped, so tabs do not disturb each other.  Events only move `want`; one render loop
+draws the newest wish and skips what was overtaken.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import viser
+
+from vins_core.errors import VinspectError
+from vins_core.params import DECLARATIONS, get
+from vins_core.sensors import ImageRef
+
+from .browser import Bridge, Event, GoTo, Knob, Page, Pick, Play, Seek, Step
+from .context import PanelContext, RunView, Selection
+from .html import tag
+from .layout import Layout, canvas_width, place
+from .panel_view import PANELS, PanelView
+from .runs import OpenRun
+from .scene.frame import SceneFrame, scene_unit
+from .scene.pick import pick
+from .scene.view import TOGGLES, SceneView
+
+log = logging.getLogger("vinspect")
+
+REST_S = 0.01
+"""Between two renders, so that events and other tabs get their turn."""
+PLAY_S = (0.03, 0.5)
+"""Shortest and longest time a frame is shown while playing."""
+
+
+class Session:
+    def __init__(self, client: viser.ClientHandle, opened: OpenRun, layouts: list[Layout]) -> None:
+        self.opened = opened
+        self.want, self.shown = 0, -1
+        self.selection = Selection()
+        self.playing = self.following = False
+        self.live = opened.growing  # show the newest frame until the user takes over
+        self._client = client
+        self._layouts = layouts
+        self._visible: set[str] = set()
+        self._stale, self._closed = True, False
+        self._wake = asyncio.Event()
+        self._fitted = 0
+        self._unit_m = 0.0
+        self._panels: dict[str, PanelView] = {}
+        self._windows: dict[str, viser.PanelHandle] = {}
+        self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
+        self._page_width, self._canvas = int(client.camera.image_width), 0
+        self.scene = SceneView(client)
+        self._build()
+        self._task = asyncio.get_running_loop().create_task(self._loop())
+
+    # -- what the user can do ----------------------------------------------------------------------------------------
+
+    def go(self, frame: int) -> None:
+        self.live = False
+        self.want = int(np.clip(frame, 0, max(self._length - 1, 0)))
+        self._wake.set()
+
+    def step(self, by: int, keyframe: bool = False) -> None:
+        self.playing = False
+        self.go(self._next_keyframe(by) if keyframe else self.want + by)
+
+    def play(self) -> None:
+        if not self.playing and self.want >= self._length - 1 and not self.opened.growing:
+            self.want = 0
+        self.playing = not self.playing
+        self.refresh()
+
+    def select(self, selection: Selection) -> None:
+        self.selection = selection
+        self.refresh()
+
+    def go_to_worst(self) -> None:
+        """The frame whose solve left the highest cost."""
+        if self._run is not None and np.isfinite(cost := self._run.series.cost.sum(1)).any():
+            self.go(int(np.nanargmax(cost)))
+
+    def follow(self) -> None:
+        self.following = not self.following
+        self.refresh()
+
+    def fit(self) -> None:
+        self._fitted = 0
+        self.following = False
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Draw the shown frame again: something beside the frame number changed."""
+        self._stale = True
+        self._wake.set()
+
+    def close(self) -> None:
+        self._closed = True
+        self._wake.set()
+
+    # -- the page ----------------------------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        gui = self._client.gui
+        gui.set_panel_label("vinspect")
+        with gui.add_folder("Session"):
+            self._bridge = Bridge(gui, self._on_event)
+            titles = [layout.title for layout in self._layouts]
+            self._layout_menu = gui.add_dropdown("layout", titles)
+            self._follow_box = gui.add_checkbox("follow", False)
+            self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
+            self._cancel = gui.add_button("Stop the estimator", visible=False, icon=viser.Icon.PLAYER_STOP)
+
+        @self._layout_menu.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            self.use_layout(self._layouts[titles.index(self._layout_menu.value)])
+
+        @self._follow_box.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            self.following = self._follow_box.value
+            self.refresh()
+
+        @self._cancel.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            if self.opened.job is not None:
+                self.opened.job.cancel()
+
+        @self._client.scene.on_click()  # type: ignore[arg-type]
+        async def _(event: viser.SceneClickEvent) -> None:  # async, so that events keep their order
+            frame = self._scene_frame(self.shown)
+            if frame is not None:
+                self.select(pick(frame, np.array(event.ray_origin), np.array(event.ray_direction)))
+
+        self._add_commands()
+        gui.main_panel.float(x=12, y=12, width=240)
+        if not self.opened.growing:
+            gui.main_panel.minimize()
+        self.use_layout(self._layouts[0])
+
+    def _add_commands(self) -> None:
+        def add(label: str, key: str, modifier: str | None, action: Callable[[], None]) -> None:
+            command = self._client.gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]
+
+            @command.on_trigger
+            async def _(_: object) -> None:
+                action()
+
+        add("Next frame  (or →)", "L", None, lambda: self.step(1))
+        add("Previous frame  (or ←)", "J", None, lambda: self.step(-1))
+        add("Next keyframe  (or Shift →)", "L", "shift", lambda: self.step(1, keyframe=True))
+        add("Previous keyframe  (or Shift ←)", "J", "shift", lambda: self.step(-1, keyframe=True))
+        add("Play or pause", "space", None, self.play)
+        add("First frame", "home", None, lambda: self.go(0))
+        add("Newest frame", "end", None, lambda: self.go(self._length - 1))
+        add("Go to the worst cost", "G", None, self.go_to_worst)
+        add("Follow the camera, on or off", "F", None, self.follow)
+        add("Show the whole run", "V", None, self.fit)
+        add("Clear the selection", "escape", None, lambda: self.select(Selection()))
+        for layout in self._layouts:
+            modifier, _, key = layout.hotkey.rpartition("+")
+            add(f"Layout: {layout.title}", key.upper(), modifier or None, lambda layout=layout: self.use_layout(layout))  # type: ignore[misc]
+
+    def use_layout(self, layout: Layout) -> None:
+        """Build the panels of a layout in place of those that are there."""
+        self.layout = layout
+        with self._client.atomic():
+            for window in self._windows.values():
+                window.remove()
+            self._panels, self._windows, self._boxes, self._visible = {}, {}, {}, set()
+            for name, spec in layout.panels.items():
+                window = self._windows[name] = self._client.gui.add_panel()
+                for key in spec.tabs:
+                    self._add_tab(window, key)
+            self._place()
+            for toggle, box in self._boxes.items():
+                set_value(box, layout.layers.get(toggle, True))
+            for toggle in TOGGLES:
+                self.scene.show(toggle, layout.layers.get(toggle, True))
+            self.following = layout.camera == "follow"
+            set_value(self._follow_box, self.following)
+            set_value(self._layout_menu, layout.title)
+        self.refresh()
+
+    def _add_tab(self, window: viser.PanelHandle, key: str) -> None:
+        if key == "layers":
+            with window.add_tab("Layers", viser.Icon.STACK_2):
+                self._client.gui.add_html(str(tag("div", cls="vi", data_vip=key)))
+                for toggle, title in TOGGLES.items():
+                    self._add_layer_box(toggle, title)
+            return
+        module = PANELS.get(key)
+        if module is None:  # a layout saved by another version
+            return
+        with window.add_tab(module.TITLE, getattr(viser.Icon, module.ICON)):
+            if not self._panels:
+                self._bridge.install()
+            self._panels[key] = PanelView(self._client.gui, module)
+
+    def _add_layer_box(self, toggle: str, title: str) -> None:
+        box = self._boxes[toggle] = self._client.gui.add_checkbox(title, True)
+
+        @box.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            self.scene.show(toggle, box.value)
+
+    def _place(self) -> None:
+        """Put every panel where the layout says, as wide as the page allows."""
+        for name, at in place(self.layout, self._page_width).items():
+            spec, window = self.layout.panels[name], self._windows[name]
+            if spec.dock:
+                window.dock_left() if spec.dock == "left" else window.dock_right()
+                window.set_width(at.width)
+        for name, spec in self.layout.panels.items():
+            if spec.below:
+                self._windows[name].dock_below(self._windows[spec.below])
+        self._place_floats(canvas_width(self.layout, self._page_width))
+
+    def _place_floats(self, canvas: int) -> None:
+        if canvas == self._canvas:
+            return
+        self._canvas = canvas
+        for name, at in place(self.layout, self._page_width, canvas).items():
+            if self.layout.panels[name].floating:
+                self._windows[name].float(x=at.x, y=at.y, width=at.width)
+
+    def _on_event(self, event: Event) -> None:
+        match event:
+            case Seek(f):
+                self.go(round(f * (self._length - 1)))
+            case GoTo(i):
+                self.go(i)
+            case Step(d, kf):
+                self.step(d, kf)
+            case Play():
+                self.play()
+            case Pick("track" | "frame" as kind, i):
+                self.select(Selection(kind, i) if i >= 0 else Selection())
+            case Knob(key):
+                self._explain(key)
+            case Page(panels, width, _, canvas):
+                if width != self._page_width:
+                    self._page_width, self._canvas = width, 0
+                    self._place()
+                elif canvas:
+                    self._place_floats(canvas)
+                if set(panels) != self._visible:
+                    self._visible = set(panels)
+                    self.refresh()
+
+    def _explain(self, key: str) -> None:
+        """Say what a parameter was in this run, where that came from, and how to run with another."""
+        declared = DECLARATIONS.get(key)
+        if declared is None or self._run is None:
+            return
+        header = self._run.header
+        origin = {"config": ", from the configuration file", "set": ", set for this run"}
+        value = f"{get(header.params, key)} {declared.unit}".rstrip() + origin.get(header.origins.get(key, ""), "")
+        body = f"{declared.doc}: {value} (default {declared.default}). To change it, run with --set {key}=VALUE"
+        self._client.add_notification(key, body, auto_close_seconds=8)
+
+    # -- drawing -----------------------------------------------------------------------------------------------------
+
+    async def _loop(self) -> None:
+        while not self._closed:
+            try:
+                await asyncio.wait_for(self._wake.wait(), self._pause() if self.playing else None)
+            except TimeoutError:
+                if self.want < self._length - 1:
+                    self.want += 1
+                elif not self.opened.growing:
+                    self.playing, self._stale = False, True
+            self._wake.clear()
+            if self.live:
+                self.want = max(self._length - 1, 0)
+            if self._closed or (self.want == self.shown and not self._stale):
+                continue
+            self._stale = False
+            try:
+                self._render(self.want)
+            except Exception:
+                log.exception("frame %d", self.want)
+            await asyncio.sleep(REST_S)
+
+    def _render(self, k: int) -> None:
+        with self._client.atomic():
+            self._show_progress()
+            run = self._run
+            if run is None:
+                for panel in self._panels.values():
+                    panel.say(self.opened.error or self.opened.doing or "This run has no frames.")
+                return
+            self.shown = k
+            ctx = self._context(run, k)
+            for panel in self._panels.values():
+                if panel.key in self._visible:
+                    panel.render(ctx)
+            frame = self._scene_frame(k)
+            if frame is not None:
+                self.scene.update(frame)
+                self._aim(frame)
+
+    def _context(self, run: RunView, k: int) -> PanelContext:
+        report = run.report(k)
+        uri, note = self._image(report.images[-1])
+        model = run.header.calibration.cameras[report.images[-1].camera].model
+        return PanelContext(
+            run=run,
+            frame=k,
+            report=report,
+            ms=run.ms(k),
+            selection=self.selection,
+            image_uri=uri,
+            image_note=note,
+            width=model.width,
+            height=model.height,
+            playing=self.playing,
+            progress=self.opened.error or self.opened.doing,
+            signals=self.layout.signals,
+        )
+
+    def _scene_frame(self, k: int) -> SceneFrame | None:
+        run = self._run
+        if run is None or k < 0:
+            return None
+        report = run.report(k)
+        if report.landmarks is not None and not self._unit_m:
+            self._unit_m = scene_unit(report)
+        try:
+            thumbnail = self.opened.images.thumbnail(report.images[-1]) if report.window is not None else None
+        except VinspectError:
+            thumbnail = None
+        passed = self.opened.map.at(k)
+        return SceneFrame(run, k, report, self.selection, thumbnail, passed, self._unit_m or scene_unit(report))
+
+    def _aim(self, frame: SceneFrame) -> None:
+        """Move the viewpoint: behind the camera when following; else once, when there is something to see."""
+        if self.following:
+            self.scene.follow(frame)
+        solved = int(np.isfinite(frame.series.p_w_b[:, 0]).sum())
+        if not self.following and (self._fitted == 0 or (self.live and solved > 1.5 * self._fitted)):
+            self._fitted = solved
+            self.scene.fit(frame)
+
+    def _show_progress(self) -> None:
+        growing, share = self.opened.growing, self.opened.progress
+        for handle in (self._progress, self._cancel):
+            if handle.visible != growing:
+                handle.visible = growing
+        if share is not None:
+            set_value(self._progress, 100 * share)
+
+    def _image(self, ref: ImageRef) -> tuple[str, str]:
+        """(data URI, why there is none)."""
+        try:
+            return self.opened.images.uri(ref), ""
+        except VinspectError as problem:
+            return "", str(problem)
+
+    # -- the run -----------------------------------------------------------------------------------------------------
+
+    @property
+    def _run(self) -> RunView | None:
+        return self.opened.view
+
+    @property
+    def _length(self) -> int:
+        return len(self._run) if self._run is not None else 0
+
+    def _next_keyframe(self, by: int) -> int:
+        keyframes = self._run.series.keyframes if self._run is not None else np.zeros(0, int)
+        later = keyframes[keyframes > self.want] if by > 0 else keyframes[keyframes < self.want][::-1]
+        return int(later[0]) if len(later) else self.want
+
+    def _pause(self) -> float:
+        """Seconds the wanted frame is shown while playing: as long as it lasted, within limits."""
+        if self._run is None or self.want >= self._length - 1:
+            return PLAY_S[1]
+        t_s = self._run.series.t_s
+        return float(np.clip(t_s[self.want + 1] - t_s[self.want], *PLAY_S))
+
+
+def set_value(handle: Any, value: object) -> None:
+    """Send a widget's value if it changed (viser's handles look read-only to a type checker)."""
+    if handle.value != value:
+        handle.value = value

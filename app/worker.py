@@ -1,0 +1,109 @@
+"""The estimator in a process of its own: only the run folder, a cancel flag and one sentence connect it to the page.
+
+A process and not a thread, because the estimator would hold up every answer to the page.  Spawned and not forked,
+because the server has threads.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
+from pathlib import Path
+
+from vins_core.errors import VinspectError
+
+KEEP_RUNS = 10
+"""Runs computed for the page are kept in the user's cache; older ones are removed."""
+
+Estimate = Callable[[Path, Sequence[Path], Path, Callable[[], bool]], None]
+"""(recording, calibration files, run folder, whether to stop) -> writes the run; raises VinspectError."""
+
+
+def run_estimator(recording: Path, calib: Sequence[Path], out: Path, cancelled: Callable[[], bool]) -> None:
+    from vins_core.runner import run_recording
+
+    run_recording(recording, calib=list(calib), out=out, cancelled=cancelled)
+
+
+class Job:
+    """One estimator at work."""
+
+    def __init__(self, out: Path, process: multiprocessing.process.BaseProcess, flag: Event, news: Connection) -> None:
+        self.out = out
+        self._process, self._flag, self._news = process, flag, news
+        self._error = ""
+        self.cancelled = False
+
+    @classmethod
+    def start(cls, recording: Path, calib: Sequence[Path], estimate: Estimate = run_estimator) -> Job:
+        spawn = multiprocessing.get_context("spawn")
+        flag, (news, sender) = spawn.Event(), spawn.Pipe(duplex=False)
+        out = new_run_folder(recording)
+        arguments = (estimate, recording.resolve(), [c.resolve() for c in calib], out, flag, sender)
+        process = spawn.Process(target=_work, args=arguments, name="vinspect estimator", daemon=True)
+        process.start()
+        sender.close()
+        return cls(out, process, flag, news)
+
+    @property
+    def running(self) -> bool:
+        return self._process.is_alive()
+
+    @property
+    def error(self) -> str:
+        """Why it stopped before its end; empty while it runs, when it is done and when it was cancelled."""
+        if not self._error and not self.running and not self.cancelled:
+            try:
+                self._error = self._news.recv() if self._news.poll() else ""
+            except EOFError:
+                self._error = ""
+            if not self._error and self._process.exitcode:
+                self._error = f"The estimator ended unexpectedly (exit code {self._process.exitcode})."
+        return self._error
+
+    def cancel(self) -> None:
+        """Ask it to stop after its current frame; what it wrote stays."""
+        self.cancelled = True
+        self._flag.set()
+
+    def wait(self, timeout_s: float = 5.0) -> None:
+        self._process.join(timeout_s)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+
+
+def _work(
+    estimate: Estimate, recording: Path, calib: Sequence[Path], out: Path, flag: Event, sender: Connection
+) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal reaches the server, which cancels us
+    try:
+        estimate(recording, calib, out, flag.is_set)
+    except VinspectError as problem:
+        sender.send(str(problem))
+
+
+def cache_folder() -> Path:
+    """`vinspect/runs` in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vinspect" / "runs"
+
+
+def new_run_folder(recording: Path) -> Path:
+    """A folder that does not exist yet, named after the recording; the oldest of many are removed."""
+    parent = cache_folder()
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        old = sorted((p for p in parent.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
+        for folder in old[: max(len(old) - KEEP_RUNS + 1, 0)]:
+            if time.time() - folder.stat().st_mtime > 3600:
+                shutil.rmtree(folder, ignore_errors=True)
+    except OSError:
+        parent = Path(tempfile.mkdtemp(prefix="vinspect-"))
+    return parent / f"{recording.stem}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
