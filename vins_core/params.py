@@ -51,7 +51,11 @@ class Frontend:
     flow_back: Annotated[bool, Doc("track back and compare (parity for VINS-Mono: off)")] = True
     flow_back_px: Annotated[float, Range(0.1, 5), Doc("largest distance after tracking back", "px")] = 0.5
     border_px: Annotated[int, Range(0, 50), Doc("tracks nearer to the border are dropped", "px")] = 1
-    f_ransac: Annotated[bool, Doc("reject tracks by a fundamental matrix between consecutive frames")] = True
+    f_ransac: Annotated[bool, Doc("reject tracks by the epipolar geometry of consecutive frames")] = True
+    epipolar_model: Annotated[
+        Literal["essential", "fundamental"],
+        Doc("essential: 5 points, locally optimised; fundamental: plain RANSAC over 7 points (parity)"),
+    ] = "essential"
     F_threshold: Annotated[float, Range(0.1, 10), Doc("F-RANSAC: largest distance to the epipolar line", "px460")] = 1.0
     F_confidence: Annotated[float, Range(0.5, 0.9999), Doc("F-RANSAC confidence")] = 0.99
     min_track_count: Annotated[
@@ -108,23 +112,28 @@ class Init:
     max_structure_cost: Annotated[
         float, Range(1e-5, 1), Doc("structure: bundle adjustment cost accepted without convergence")
     ] = 5e-3
+    min_consistent_share: Annotated[
+        float, Range(0, 1), Doc("structure: share of points within window.max_error_px (parity: 0)")
+    ] = 0.7
     max_reprojection_px: Annotated[
         float, Range(0.1, 20), Doc("structure: rms reprojection error after bundle adjustment", "px460")
     ] = 2.0
     max_rotation_error_deg: Annotated[
         float, Range(0.01, 180), Doc("rms difference of vision and gyroscope between frames (parity: 180)", "deg")
-    ] = 0.5
+    ] = 1.0
     gravity_tolerance: Annotated[
         float, Range(0.05, 5), Doc("largest difference of the estimated gravity's norm", "m/s^2")
     ] = 1.0
     gravity_iterations: Annotated[int, Range(1, 10), Doc("refinements of gravity on its tangent plane")] = 4
     refine: Annotated[bool, Doc("visual-inertial bundle adjustment after the alignment (parity: off)")] = True
     acc_bias_sigma: Annotated[
-        float, Range(0.001, 2), Doc("how far from zero the accelerometer bias may be", "m/s^2")
+        float,
+        Range(0.001, 2),
+        Doc("how far from zero the accelerometer bias may be; stays as the first prior of the window", "m/s^2"),
     ] = 0.1
     max_scale_sigma: Annotated[
         float, Range(0.001, 10), Doc("relative standard deviation of the scale after refinement")
-    ] = 0.15
+    ] = 0.1
     max_imu_error: Annotated[
         float, Range(0.01, 100), Doc("rms IMU residual after refinement, in its standard deviations", "sigma")
     ] = 1.5

@@ -12,11 +12,13 @@ g points down.  Linear in v, g and s; the refinement keeps |g| and moves g on it
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..factors.preintegration import Preintegration
+from ..params import Init
+from ..report import Gate, InitStage, all_pass
 
 _SCALE_UNIT = 100.0
 """The scale is solved for in this unit, which keeps the system well conditioned (as VINS does)."""
@@ -31,29 +33,63 @@ class Alignment:
     residual_m: float  # rms of the position rows
 
 
-def align(p_l_c: np.ndarray, R_l_b: np.ndarray, imu: Sequence[Preintegration], p_b_c: np.ndarray) -> Alignment:
-    """Least squares for velocities, gravity (3) and scale.  p_l_c (K, 3), R_l_b (K, 3, 3), `imu[k]` from k to k + 1."""
-    return _solve(p_l_c, R_l_b, imu, p_b_c, np.zeros(3), np.eye(3))
-
-
-def refine_gravity(
+def align(
+    params: Init,
+    g_norm: float,
     p_l_c: np.ndarray,
     R_l_b: np.ndarray,
     imu: Sequence[Preintegration],
     p_b_c: np.ndarray,
-    gravity: np.ndarray,
-    norm: float,
-    iterations: int,
-) -> Alignment:
-    """The same system with g = norm * direction + B w, w (2,) in the tangent plane, repeated with the new direction."""
-    g = norm * gravity / np.linalg.norm(gravity)
-    result = None
-    for _ in range(iterations):
+) -> tuple[Alignment, InitStage]:
+    """N8: velocities, gravity (3) and scale by least squares.
+
+    p_l_c (K, 3), R_l_b (K, 3, 3); `imu[k]` integrates from frame k to k + 1.  That gravity, solved for freely, comes
+    out near its known size is the first sign that structure and IMU fit together.
+    """
+    solved = _solve(p_l_c, R_l_b, imu, p_b_c, np.zeros(3), np.eye(3))
+    norm = float(np.linalg.norm(solved.gravity))
+    gates = (
+        Gate("gravity_error", abs(norm - g_norm), "<=", params.gravity_tolerance, "init.gravity_tolerance", "m/s^2"),
+        Gate("scale", solved.scale, ">", 0.0),
+    )
+    outcome = ""
+    if not gates[0].passed:
+        outcome = (
+            f"gravity comes out as {norm:.2f} m/s^2 instead of {g_norm:.2f}, structure and IMU do not fit together: "
+            "check IMU units and axes, and the rotation between camera and IMU"
+        )
+    elif not gates[1].passed:
+        outcome = "the scale comes out negative, structure and IMU do not fit together: change speed or direction more"
+    values = {"gravity_norm": norm, "scale_sigma": solved.scale_sigma, "residual_m": solved.residual_m}
+    return solved, InitStage("alignment", gates, outcome, values)
+
+
+def refine_gravity(
+    params: Init,
+    g_norm: float,
+    p_l_c: np.ndarray,
+    R_l_b: np.ndarray,
+    imu: Sequence[Preintegration],
+    p_b_c: np.ndarray,
+    linear: Alignment,
+) -> tuple[Alignment, InitStage]:
+    """N9: the same system with g = |g| direction + B w, w (2,) in the tangent plane, from the new direction again."""
+    g = g_norm * linear.gravity / np.linalg.norm(linear.gravity)
+    solved = linear
+    for _ in range(params.gravity_iterations):
         tangent = np.linalg.svd(g[None])[2][1:].T  # (3, 2)
-        result = _solve(p_l_c, R_l_b, imu, p_b_c, g, tangent)
-        g = norm * result.gravity / np.linalg.norm(result.gravity)
-    assert result is not None
-    return Alignment(result.v, g, result.scale, result.scale_sigma, result.residual_m)
+        solved = _solve(p_l_c, R_l_b, imu, p_b_c, g, tangent)
+        g = g_norm * solved.gravity / np.linalg.norm(solved.gravity)
+    solved = replace(solved, gravity=g)
+    gates = (Gate("scale", solved.scale, ">", 0.0),)
+    outcome = "" if all_pass(gates) else "the scale turns negative once gravity has its known size: move more"
+    cosine = float(linear.gravity @ g / np.linalg.norm(linear.gravity) / g_norm)
+    values = {
+        "turned_deg": float(np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))),
+        "scale_sigma": solved.scale_sigma,
+        "residual_m": solved.residual_m,
+    }
+    return solved, InitStage("gravity", gates, outcome, values)
 
 
 def _solve(

@@ -13,13 +13,17 @@ keeps an ill-conditioned attempt (constant velocity, constant acceleration) from
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..factors import imu as imu_factor
 from ..factors.preintegration import Preintegration
 from ..geometry import so3
+from ..params import Params
+from ..report import Gate, InitStage
+from ..window.keyframe import FOCAL_460
+from ..window.state import BlockKey, Prior
 from .bundle import NormalEquations, Rays, Structure, linearize, minimize, reproject, retract
 
 
@@ -31,6 +35,23 @@ class Motion:
     v: np.ndarray  # (K, 3)
     b_a: np.ndarray  # (3,)
     b_g: np.ndarray  # (3,)
+
+    def rotated(self, R: np.ndarray) -> Motion:
+        s = self.structure
+        return replace(self, structure=Structure(s.p @ R.T, R @ s.R, s.points @ R.T), v=self.v @ R.T)
+
+    def anchored(self) -> Motion:
+        """The same motion with the oldest body at the origin and its yaw 0."""
+        s = self.structure
+        shifted = replace(self, structure=Structure(s.p - s.p[0], s.R, s.points - s.p[0]))
+        yaw = float(so3.heading(so3.from_matrix(s.R[0])))
+        return shifted.rotated(so3.to_matrix(so3.exp(np.array([0.0, 0.0, -yaw]))))
+
+    @property
+    def extent_m(self) -> float:
+        """Rms distance of the bodies from their mean."""
+        p = self.structure.p
+        return float(np.sqrt(np.mean(np.sum((p - p.mean(0)) ** 2, 1))))
 
 
 @dataclass(frozen=True)
@@ -74,6 +95,47 @@ def refine(
         iterations,
         converged,
     )
+
+
+def verdict(params: Params, refined: Refinement, before: Motion) -> InitStage:
+    """Do vision and IMU agree, and was the scale observable?"""
+    init, health, m = params.init, params.health, refined.motion
+    b_a, b_g = float(np.linalg.norm(m.b_a)), float(np.linalg.norm(m.b_g))
+    error_px = FOCAL_460 * refined.rms_rad
+    gates = (
+        Gate("scale_sigma", refined.scale_sigma, "<=", init.max_scale_sigma, "init.max_scale_sigma"),
+        Gate("imu_error", refined.imu_rms, "<=", init.max_imu_error, "init.max_imu_error", "sigma"),
+        Gate("reprojection", error_px, "<=", init.max_reprojection_px, "init.max_reprojection_px", "px460"),
+        Gate("acc_bias", b_a, "<=", health.max_acc_bias, "health.max_acc_bias", "m/s^2"),
+        Gate("gyr_bias", b_g, "<=", health.max_gyr_bias, "health.max_gyr_bias", "rad/s"),
+    )
+    why = {
+        "scale_sigma": f"the scale is only known to {100 * refined.scale_sigma:.0f} %: change speed or direction more",
+        "imu_error": "camera and IMU saw different motions: check extrinsics, time offset, IMU units and noise",
+        "reprojection": "no motion the IMU allows fits the tracks: check extrinsics and time offset",
+        "acc_bias": f"the accelerometer bias would have to be {b_a:.1f} m/s^2: check IMU units and gravity",
+        "gyr_bias": f"the gyroscope bias would have to be {b_g:.2f} rad/s: check IMU units",
+    }
+    values = {
+        "scale_change": m.extent_m / max(before.extent_m, 1e-9),
+        "gravity_sigma_deg": refined.gravity_sigma_deg,
+        "iterations": float(refined.iterations),
+        **{f"b_a_{axis}": float(b) for axis, b in zip("xyz", m.b_a)},
+        **{f"b_g_{axis}": float(b) for axis, b in zip("xyz", m.b_g)},
+    }
+    return InitStage("refinement", gates, next((why[g.name] for g in gates if not g.passed), ""), values)
+
+
+def bias_prior(frame: int, motion: Motion, acc_bias_sigma: float) -> Prior:
+    """|b_a|^2 / sigma^2 on the oldest frame: what the refinement assumed must stay with the window it initialised.
+
+    Without it the first windows would explain noise by a bias that only later frames can tell from gravity
+    (REFERENCE 23.15).
+    """
+    J = np.zeros((9, 9))
+    J[3:6, 3:6] = np.eye(3) / acc_bias_sigma
+    x0 = np.concatenate([motion.v[0], np.zeros(3), motion.b_g])
+    return Prior((BlockKey("speed_bias", frame),), (x0,), J, np.zeros(9))
 
 
 def _step(m: Motion, d: np.ndarray, d_points: np.ndarray) -> Motion:
@@ -127,7 +189,7 @@ class _Inertial:
         pose_j[:], speed_bias_j[:] = poses[:, 1:], speed_biases[:, 1:]
         self._batch.evaluate()
         r = np.einsum("kij,jk->ki", self._whitening, self._batch.r[:9])
-        J = np.einsum("kij,jck->kic", self._whitening, self._batch.J[:9])
+        J = np.einsum("kij,cjk->kic", self._whitening, self._batch.J[:, :9])
         return r, J
 
 

@@ -1,10 +1,11 @@
-"""Structure from motion over the window, up to scale (REFERENCE N2-N6, seeds 000.2.2 and 004.14).
+"""Structure from motion over the window, up to scale (REFERENCE N4-N6, seeds 000.2.2 and 004.14).
 
-The frame of reference is the camera of the reference frame l.  `Ts_l_c` are camera poses in it.
+The frame of reference is the camera of the reference frame l.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,67 +13,120 @@ import numpy as np
 from ..geometry import se3
 from ..geometry.pnp import solve_pnp
 from ..geometry.triangulation import triangulate_pair
-from ..window.state import Observations
-from .bundle import Adjustment, Rays, Structure, adjust
+from ..params import Init
+from ..report import Gate, InitStage, all_pass
+from ..window.keyframe import FOCAL_460
+from ..window.state import WindowFrame
+from .bundle import Adjustment, Structure, adjust
+from .motion import Reference
+from .tracks import TrackTable
 
 MIN_PARALLAX_RAD = np.deg2rad(0.2)
 """Rays closer to parallel than this place no point."""
 
 
 @dataclass(frozen=True)
-class Tracks:
-    """All tracks of some frames as a table, NaN where a frame does not see a track."""
-
-    ids: np.ndarray  # (M,) int64, increasing
-    rays: np.ndarray  # (M, K, 3)
-
-    @staticmethod
-    def of(observations: list[Observations]) -> Tracks:
-        ids = np.unique(np.concatenate([o.ids for o in observations]))
-        rays = np.full((len(ids), len(observations), 3), np.nan)
-        for k, o in enumerate(observations):
-            rays[np.searchsorted(ids, o.ids), k] = o.rays
-        return Tracks(ids, rays)
-
-    @property
-    def seen(self) -> np.ndarray:
-        """(M, K) bool."""
-        return ~np.isnan(self.rays[:, :, 0])
-
-    def common(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """Corresponding rays (n, 3) of frames i and j."""
-        both = self.seen[:, i] & self.seen[:, j]
-        return self.rays[both, i], self.rays[both, j]
-
-
-@dataclass(frozen=True)
 class Reconstruction:
-    """Camera poses and points of the window; `lost_slot` >= 0 when that frame could not be placed."""
-
-    Ts_l_c: np.ndarray  # (K, 4, 4)
-    ids: np.ndarray  # (P,) tracks with a point
-    points: np.ndarray  # (P, 3) in frame l
-    adjustment: Adjustment | None
-    min_points: int  # fewest known points any placed frame saw
-    lost_slot: int = -1
+    Ts_l_c: np.ndarray  # (K, 4, 4) cameras of the window
+    rows: np.ndarray  # (P,) rows of the track table that have a point
+    points: np.ndarray  # (P, 3)
 
 
-def reconstruct(tracks: Tracks, l: int, T_l_newest: np.ndarray, sigma_rad: float, min_points: int) -> Reconstruction:
+def reconstruct(
+    params: Init, tracks: TrackTable, reference: Reference, sigma_rad: float, max_error_rad: float
+) -> tuple[Reconstruction | None, InitStage]:
     """Places every frame of the window and its points, then adjusts all of them together.
 
-    Triangulate l - newest; forward from l: PnP, triangulate with the newest; triangulate l with the frames between;
-    backward from l: PnP, triangulate with l; the remaining tracks from their first and last observation.
+    Points whose mean error stays above `max_error_rad` are dropped and the rest adjusted again.
     """
-    seen = tracks.seen
-    newest = seen.shape[1] - 1
+    Ts, points, fewest, lost_slot = _chain(tracks, reference, sigma_rad, params.min_pnp_points)
+    gates: tuple[Gate, ...] = (Gate("known_points", fewest, ">=", params.min_pnp_points, "init.min_pnp_points"),)
+    if lost_slot is not None:
+        why = f"the frame in slot {lost_slot} could not be placed: it sees {fewest} known points"
+        if fewest >= params.min_pnp_points:
+            why += ", but no pose agrees with enough of them"
+            gates += (Gate("placed", 0, ">=", 1),)
+        return None, InitStage("structure", gates, why)
+
+    rows = np.flatnonzero(~np.isnan(points[:, 0]))
+    adjusted = _adjust(tracks, rows, Structure(Ts[:, :3, 3], Ts[:, :3, :3], points[rows]), reference, sigma_rad)
+    good = _mean_error(tracks, rows, adjusted) <= max_error_rad
+    share = float(np.mean(good)) if len(good) else 0.0
+    iterations = adjusted.iterations
+    if 0.0 < share < 1.0:
+        rows, s = rows[good], adjusted.structure
+        adjusted = _adjust(tracks, rows, Structure(s.p, s.R, s.points[good]), reference, sigma_rad)
+        iterations += adjusted.iterations
+    rms_px = FOCAL_460 * adjusted.rms_rad
+    cost_decides = not adjusted.converged
+    gates += (
+        Gate("consistent_points", share, ">=", params.min_consistent_share, "init.min_consistent_share"),
+        Gate("reprojection", rms_px, "<=", params.max_reprojection_px, "init.max_reprojection_px", "px460"),
+        Gate("cost", adjusted.cost, "<=", params.max_structure_cost, "init.max_structure_cost", decides=cost_decides),
+    )
+    outcome = ""
+    if not all_pass(gates):
+        outcome = (
+            f"poses and points miss the tracks by {rms_px:.1f} px, {100 * share:.0f} % of the points fit: "
+            "moving objects, wrong intrinsics, or a wrong relative pose"
+        )
+    stage = InitStage("structure", gates, outcome, {"points": float(len(rows)), "iterations": float(iterations)})
+    s = adjusted.structure
+    built = Reconstruction(se3.from_rotation_translation(s.R, s.p), rows, s.points)
+    return (built if stage.passed else None), stage
+
+
+def place_between(
+    params: Init,
+    tracks: TrackTable,
+    built: Reconstruction,
+    window: Sequence[WindowFrame],
+    history: Sequence[WindowFrame],
+    sigma_rad: float,
+) -> tuple[np.ndarray | None, InitStage]:
+    """N6: camera poses (F, 4, 4) of all frames in time; those the window did not keep by PnP on its points."""
+    slots = {f.frame: k for k, f in enumerate(window)}
+    ids = tracks.ids[built.rows]
+    Ts = np.empty((len(history), 4, 4))
+    counts, lost = [], None
+    for k, frame in enumerate(history):
+        if frame.frame in slots:
+            Ts[k] = built.Ts_l_c[slots[frame.frame]]
+            continue
+        _, i, j = np.intersect1d(frame.observations.ids, ids, assume_unique=True, return_indices=True)
+        counts.append(len(i))
+        pnp = solve_pnp(built.points[j], frame.observations.rays[i], Ts[k - 1], 2.0 * sigma_rad)
+        if pnp is None:
+            lost = frame.frame
+            break
+        Ts[k] = pnp.T_w_c
+    values = {"frames": float(len(counts))}
+    if counts:
+        values["fewest_points"] = float(min(counts))
+    if lost is None:
+        return Ts, InitStage("frames between", (), "", values)
+    gate = Gate("placed", 0, ">=", 1)
+    why = f"frame {lost}, which the window did not keep, could not be placed by the {counts[-1]} points it sees"
+    return None, InitStage("frames between", (gate,), why, values)
+
+
+def _chain(
+    tracks: TrackTable, reference: Reference, sigma_rad: float, min_points: int
+) -> tuple[np.ndarray, np.ndarray, int, int | None]:
+    """First poses (K, 4, 4) and points (M, 3; NaN unknown), fewest points a frame was placed by, and the lost slot.
+
+    Triangulate l with the newest; forward from l: PnP, triangulate with the newest; triangulate l with the frames in
+    between; backward from l: PnP, triangulate with l; the remaining tracks from their first and last observation.
+    """
+    seen, l, newest = tracks.seen, reference.slot, tracks.n_frames - 1
     Ts = np.tile(np.eye(4), (newest + 1, 1, 1))
-    Ts[newest] = T_l_newest
+    Ts[newest] = reference.pose.T_a_b
     points = np.full((len(tracks.ids), 3), np.nan)
     fewest = len(tracks.ids)
 
-    def extend(i: int, j: int) -> None:
-        new = seen[:, i] & seen[:, j] & np.isnan(points[:, 0])
-        points[new] = triangulate(Ts[i], Ts[j], tracks.rays[new, i], tracks.rays[new, j])
+    def extend(i: int, j: int, among: np.ndarray) -> None:
+        new = among & seen[:, i] & seen[:, j] & np.isnan(points[:, 0])
+        points[new] = _triangulate(Ts[i], Ts[j], tracks.rays[new, i], tracks.rays[new, j])
 
     def place(k: int, neighbour: int) -> bool:
         nonlocal fewest
@@ -83,49 +137,40 @@ def reconstruct(tracks: Tracks, l: int, T_l_newest: np.ndarray, sigma_rad: float
             Ts[k] = pnp.T_w_c
         return pnp is not None
 
-    lost = Reconstruction(Ts, tracks.ids[:0], points[:0], None, 0)
+    every = np.ones(len(tracks.ids), bool)
     for k in range(l, newest):
         if k > l and not place(k, k - 1):
-            return _failed(lost, fewest, k)
-        extend(k, newest)
+            return Ts, points, fewest, k
+        extend(k, newest, every)
     for k in range(l + 1, newest):
-        extend(l, k)
+        extend(l, k, every)
     for k in reversed(range(l)):
         if not place(k, k + 1):
-            return _failed(lost, fewest, k)
-        extend(k, l)
+            return Ts, points, fewest, k
+        extend(k, l, every)
     first, last = np.argmax(seen, 1), newest - np.argmax(seen[:, ::-1], 1)
     for i, j in sorted(set(zip(first.tolist(), last.tolist()))):
         if i < j:
-            new = (first == i) & (last == j) & np.isnan(points[:, 0])
-            points[new] = triangulate(Ts[i], Ts[j], tracks.rays[new, i], tracks.rays[new, j])
-
-    known = np.flatnonzero(~np.isnan(points[:, 0]))
-    point, frame = np.nonzero(seen[known])
-    rays = Rays(frame, point, tracks.rays[known][point, frame])
-    adjusted = adjust(Structure(Ts[:, :3, 3], Ts[:, :3, :3], points[known]), rays, l, newest, sigma_rad)
-    s = adjusted.structure
-    return Reconstruction(se3.from_rotation_translation(s.R, s.p), tracks.ids[known], s.points, adjusted, fewest)
+            extend(i, j, (first == i) & (last == j))
+    return Ts, points, fewest, None
 
 
-def triangulate(T_w_i: np.ndarray, T_w_j: np.ndarray, rays_i: np.ndarray, rays_j: np.ndarray) -> np.ndarray:
+def _triangulate(T_w_i: np.ndarray, T_w_j: np.ndarray, rays_i: np.ndarray, rays_j: np.ndarray) -> np.ndarray:
     """(n, 3) points seen by two cameras; NaN behind a camera or without parallax."""
     points = triangulate_pair(se3.inverse(T_w_i), se3.inverse(T_w_j), rays_i, rays_j)
-    in_front = [
-        np.sum(se3.transform(se3.inverse(T), points) * rays, 1) > 0 for T, rays in ((T_w_i, rays_i), (T_w_j, rays_j))
-    ]
-    parallax = np.linalg.norm(np.cross(rays_i @ T_w_i[:3, :3].T, rays_j @ T_w_j[:3, :3].T), axis=1)
-    return np.where((in_front[0] & in_front[1] & (parallax > MIN_PARALLAX_RAD))[:, None], points, np.nan)
+    usable = np.linalg.norm(np.cross(rays_i @ T_w_i[:3, :3].T, rays_j @ T_w_j[:3, :3].T), axis=1) > MIN_PARALLAX_RAD
+    for T, rays in ((T_w_i, rays_i), (T_w_j, rays_j)):
+        usable &= np.sum(se3.transform(se3.inverse(T), points) * rays, axis=1) > 0
+    return np.where(usable[:, None], points, np.nan)
 
 
-def place_frame(
-    observations: Observations, ids: np.ndarray, points: np.ndarray, T_guess: np.ndarray, sigma_rad: float
-) -> tuple[np.ndarray | None, int]:
-    """Camera pose of a frame outside the window from the points it sees (REFERENCE N6), and how many it saw."""
-    _, i, j = np.intersect1d(observations.ids, ids, assume_unique=True, return_indices=True)
-    pnp = solve_pnp(points[j], observations.rays[i], T_guess, 2.0 * sigma_rad)
-    return (None if pnp is None else pnp.T_w_c), len(i)
+def _adjust(
+    tracks: TrackTable, rows: np.ndarray, structure: Structure, reference: Reference, sigma_rad: float
+) -> Adjustment:
+    return adjust(structure, tracks.observations(rows), reference.slot, tracks.n_frames - 1, sigma_rad)
 
 
-def _failed(empty: Reconstruction, fewest: int, slot: int) -> Reconstruction:
-    return Reconstruction(empty.Ts_l_c, empty.ids, empty.points, None, fewest, slot)
+def _mean_error(tracks: TrackTable, rows: np.ndarray, adjusted: Adjustment) -> np.ndarray:
+    """(P,) rad."""
+    point = np.nonzero(tracks.seen[rows])[0]
+    return np.bincount(point, adjusted.error_rad, len(rows)) / np.bincount(point, minlength=len(rows))
