@@ -5,8 +5,6 @@ Each `see` returns whether the sample may be used; what it noticed waits in `fou
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
 from ..sensors import Anomaly
@@ -32,11 +30,22 @@ class StampWatch:
         self._period_ns = 1e9 / rate_hz if rate_hz else None
         self._gap_kind = gap_kind
         self._gap_factor = gap_factor
-        self._steps: deque[int] = deque(maxlen=RATE_WINDOW)
+        self._steps: list[int] = []
+        self._longest_ns = 0
         self._going_back = False
 
     def note(self, kind: str, t_ns: int, message: str) -> None:
         self.found.append(Anomaly(kind, t_ns, self.topic, message))
+
+    @property
+    def longest_s(self) -> float | None:
+        """The longest time between two samples so far."""
+        return self._longest_ns * 1e-9 if self._longest_ns else None
+
+    @property
+    def median_period_s(self) -> float | None:
+        """Over the newest samples; the mean period before there are enough of them."""
+        return self._period_ns * 1e-9 if self._period_ns else None
 
     def take(self) -> list[Anomaly]:
         found, self.found = self.found, []
@@ -65,6 +74,7 @@ class StampWatch:
         return True
 
     def _step(self, t_ns: int, step: int) -> None:
+        self._longest_ns = max(self._longest_ns, step)
         if self._period_ns and step > self._gap_factor * self._period_ns:
             missing = round(step / self._period_ns) - 1
             self.after_gap = True
@@ -86,6 +96,11 @@ class StampWatch:
                 f"{self.topic} changes from {1e9 / self._period_ns:.4g} to {1e9 / period:.4g} Hz before {t_ns} ns",
             )
         self._period_ns = period
+
+
+def image_watch(topic: str, rate_hz: float | None) -> StampWatch:
+    """A camera's watch: one missing image is already worth a note."""
+    return StampWatch(topic, rate_hz, "dropped_image", gap_factor=1.6)
 
 
 class ImuWatch(StampWatch):

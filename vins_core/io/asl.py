@@ -43,7 +43,7 @@ class AslRecording(Recording):
         streams = []
         for folder in sorted(p for p in root.iterdir() if p.is_dir()):
             role = _role(folder.name)
-            if role == "other":
+            if role == "other" and not (folder / "data.csv").exists():
                 continue
             topic = _topic(folder, role)
             self._folders[topic] = folder
@@ -60,10 +60,11 @@ class AslRecording(Recording):
         """The sensor's folder, where its sensor.yaml is."""
         return self._folders[topic]
 
-    def _default(self, role: Role) -> tuple[Stream, ...]:
-        return self.of_role(role)[:1]  # the layout numbers its sensors: cam0 is the first
+    def candidates(self, role: Role) -> tuple[Stream, ...]:
+        """The layout numbers its sensors, so the first is meant: cam0, imu0."""
+        return self.of_role(role)[:1]
 
-    def _scan(self, topics: Collection[str]) -> Iterator[Item]:
+    def scan(self, topics: Collection[str]) -> Iterator[Item]:
         readers: dict[Role, Callable[[str], Iterator[Item]]] = {
             "imu": self._imu,
             "gps": self._gps,

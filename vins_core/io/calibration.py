@@ -1,7 +1,7 @@
 """Calibration and settings files of any known format, read into one `Settings`.
 
 Nothing is guessed in silence: a missing number is an error that names file and key, a number that a format cannot
-hold is taken with a note, and every key that was not used is noted with the reason.
+hold is assumed with a note, and a setting that was not used is noted with the reason.
 """
 
 from __future__ import annotations
@@ -66,6 +66,9 @@ def _from_recording(recording: Recording | None) -> Settings:
         where = f"{recording.path}: " if recording else ""
         raise CalibrationError(f"{where}a calibration is needed for this recording; give {FORMATS} with --calib")
     folders = [recording.folder(topic) for topic in (recording.image_topics[0], recording.imu_topic)]
+    missing = [str(folder / "sensor.yaml") for folder in folders if not (folder / "sensor.yaml").exists()]
+    if missing:
+        raise CalibrationError(f"{' and '.join(missing)}: missing, so this folder has no calibration; give --calib")
     files = [Keys(folder / "sensor.yaml", read_yaml(folder / "sensor.yaml")) for folder in folders]
     settings = Settings(*euroc_yaml.read(files))
     unused = [s.topic for s in recording.of_role("image")[1:]]
@@ -82,4 +85,10 @@ def _with_topics(settings: Settings, recording: Recording) -> Settings:
     )
     calibration = dataclasses.replace(calibration, cameras=cameras, imu_topic=recording.imu_topic)
     recording.use(calibration)
-    return dataclasses.replace(settings, calibration=calibration)
+    notes = list(settings.notes)
+    if recording.truth_topic is None and len(recording.candidates("truth")) > 1:
+        topics = ", ".join(s.topic for s in recording.candidates("truth"))
+        notes.append(
+            f"several topics could be the ground truth ({topics}), so none is used; `eval --truth` takes a file"
+        )
+    return dataclasses.replace(settings, calibration=calibration, notes=tuple(notes))

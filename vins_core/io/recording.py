@@ -78,7 +78,7 @@ def time_order(item: Item) -> tuple[int, int]:
 
 
 class Recording(ABC):
-    """Base of all readers; a reader supplies `streams`, `_scan` and `_image`.
+    """Base of all readers; a reader supplies `streams`, `scan`, `_image` and `close`.
 
     One thread may iterate while others call `load` and `encoded`.
     """
@@ -110,7 +110,7 @@ class Recording(ABC):
         """The topic of each camera, in the order of Calibration.cameras."""
         if self.choice.images:
             return tuple(self._named("image", topic) for topic in self.choice.images)
-        return (self._only("image", self._default("image")),)
+        return (self._only("image"),)
 
     @property
     def imu_topic(self) -> str:
@@ -118,22 +118,22 @@ class Recording(ABC):
 
     @property
     def truth_topic(self) -> str | None:
-        """None when there is no truth.  Full poses win over bare positions."""
-        if self.choice.truth:
-            return self._named("truth", self.choice.truth)
-        candidates = self.of_role("truth")
-        poses = [s for s in candidates if not s.type.endswith("PointStamped")]
-        return self._only("truth", poses or candidates) if candidates else None
+        """None when there is none, or when it is not clear which (see `candidates`)."""
+        return self._named("truth", self.choice.truth) if self.choice.truth else self._maybe("truth")
 
     @property
     def gps_topic(self) -> str | None:
-        if self.choice.gps:
-            return self._named("gps", self.choice.gps)
-        return self._only("gps") if self.of_role("gps") else None
+        return self._named("gps", self.choice.gps) if self.choice.gps else self._maybe("gps")
 
-    def _default(self, role: Role) -> tuple[Stream, ...]:
-        """The streams among which a role is unambiguous; formats that number their sensors take the first."""
-        return self.of_role(role)
+    def candidates(self, role: Role) -> tuple[Stream, ...]:
+        """The streams that could play a role.  Full poses win over bare positions as truth."""
+        streams = self.of_role(role)
+        poses = tuple(s for s in streams if not s.type.endswith("PointStamped"))
+        return poses or streams if role == "truth" else streams
+
+    def _maybe(self, role: Role) -> str | None:
+        found = self.candidates(role)
+        return found[0].topic if len(found) == 1 else None
 
     def _named(self, role: Role, topic: str) -> str:
         wanted = topic.strip("/").removesuffix("/compressed")
@@ -148,10 +148,10 @@ class Recording(ABC):
             f"name one of its topics as {role}_topic in the calibration file"
         )
 
-    def _only(self, role: Role, candidates: Collection[Stream] | None = None) -> str:
-        candidates = self.of_role(role) if candidates is None else candidates
+    def _only(self, role: Role) -> str:
+        candidates = self.candidates(role)
         if len(candidates) == 1:
-            return next(iter(candidates)).topic
+            return candidates[0].topic
         if not candidates:
             there = ", ".join(f"{s.topic} ({s.type})" for s in self.streams) or "nothing"
             raise RecordingError(f"{self.path}: there is no {role} topic; the recording has {there}")
@@ -163,13 +163,17 @@ class Recording(ABC):
 
     # -- samples in time order ---------------------------------------------------------------------------------------
 
+    @abstractmethod
+    def scan(self, topics: Collection[str]) -> Iterator[Item]:
+        """Items of these topics merged by `time_order`, streaming; each topic keeps the order of its file."""
+
     def events(self) -> Iterator[ImuMessage | ImageRef]:
         """IMU samples and images (without pixels) of the chosen topics, merged by (stamp, kind), streaming.
 
         Each topic keeps the order of its file, so that a stamp that goes back is seen to go back.
         """
         cameras = {topic: i for i, topic in enumerate(self.image_topics)}
-        for item in self._scan([self.imu_topic, *cameras]):
+        for item in self.scan([self.imu_topic, *cameras]):
             if isinstance(item, ImageStub):
                 yield ImageRef(item.t_ns, cameras[item.topic], item.index, item.locator)
             elif isinstance(item, ImuMessage):
@@ -177,7 +181,7 @@ class Recording(ABC):
 
     def imu(self) -> ImuSamples:
         """All samples of the chosen IMU, as they are in the file."""
-        samples = [m for m in self._scan([self.imu_topic]) if isinstance(m, ImuMessage)]
+        samples = [m for m in self.scan([self.imu_topic]) if isinstance(m, ImuMessage)]
         if not samples:
             return ImuSamples.empty()
         return ImuSamples(
@@ -187,7 +191,7 @@ class Recording(ABC):
         )
 
     def images(self, camera: int = 0) -> Iterator[ImageRef]:
-        for item in self._scan([self.image_topics[camera]]):
+        for item in self.scan([self.image_topics[camera]]):
             if isinstance(item, ImageStub):
                 yield ImageRef(item.t_ns, camera, item.index, item.locator)
 
@@ -196,11 +200,11 @@ class Recording(ABC):
         topic = self.truth_topic
         if topic is None:
             return None
-        return from_messages(m for m in self._scan([topic]) if isinstance(m, TruthMessage))
+        return from_messages(m for m in self.scan([topic]) if isinstance(m, TruthMessage))
 
     def gps(self) -> list[GpsFix]:
         topic = self.gps_topic
-        fixes = (m for m in self._scan([topic]) if isinstance(m, GpsMessage)) if topic else ()
+        fixes = (m for m in self.scan([topic]) if isinstance(m, GpsMessage)) if topic else ()
         return [
             GpsFix(m.t_ns, m.latitude_deg, m.longitude_deg, m.altitude_m, m.covariance_enu_m2, m.status) for m in fixes
         ]
@@ -208,7 +212,7 @@ class Recording(ABC):
     def messages(self) -> Iterator[Message]:
         """Everything that can be written again: all cameras, IMUs, GPS receivers and ground truths."""
         topics = [s.topic for s in self.streams if s.role in ("image", "imu", "gps", "truth") and s.count]
-        for item in self._scan(topics):
+        for item in self.scan(topics):
             yield self._image(item) if isinstance(item, ImageStub) else item
 
     # -- images ------------------------------------------------------------------------------------------------------
@@ -221,6 +225,15 @@ class Recording(ABC):
         """(mime type, bytes) for a browser: the stored JPEG or PNG as it is, anything else as JPEG."""
         return images.for_browser(self._find(ref), str(self.path))
 
+    def describe_image(self, stub: ImageStub) -> str:
+        """Size and encoding, e.g. "752x480 jpeg"; what is wrong when it cannot be read."""
+        try:
+            message = self._image(stub)
+            rows, columns = images.grey(message, str(self.path)).shape
+        except RecordingError as error:
+            return str(error)
+        return f"{columns}x{rows} {message.format}"
+
     def _find(self, ref: ImageRef) -> ImageMessage:
         topics = self.image_topics
         if not 0 <= ref.camera < len(topics):
@@ -228,10 +241,6 @@ class Recording(ABC):
         return self._image(ImageStub(ref.t_ns, topics[ref.camera], ref.index, ref.locator))
 
     # -- what a reader supplies --------------------------------------------------------------------------------------
-
-    @abstractmethod
-    def _scan(self, topics: Collection[str]) -> Iterator[Item]:
-        """Items of these topics merged by `time_order`."""
 
     @abstractmethod
     def _image(self, stub: ImageStub) -> ImageMessage:
@@ -253,13 +262,13 @@ class Recording(ABC):
 def open_recording(path: Path | str, topics: TopicChoice | Calibration | None = None) -> Recording:
     """Open a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder (mav0 or its parent)."""
     from .asl import AslRecording, find_mav0
-    from .rosbag import BagRecording
+    from .rosbag import BagRecording, is_ros1
 
     path = Path(path)
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder")
     if path.is_file():
-        if path.suffix in (".bag", ".db3", ".mcap"):
+        if path.suffix in (".bag", ".db3", ".mcap") or is_ros1(path):
             return BagRecording(path, topics)
         raise RecordingError(
             f"{path}: not a recording; expected a ROS 1 .bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder "

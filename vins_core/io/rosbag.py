@@ -95,7 +95,7 @@ class BagRecording(Recording):
         for _, record_ns, raw in self._reader.messages(connections, start_ns, stop_ns):
             yield record_ns, raw
 
-    def _scan(self, topics: Collection[str]) -> Iterator[Item]:
+    def scan(self, topics: Collection[str]) -> Iterator[Item]:
         """One pass over the bag; each topic waits in its own queue until all others have reached its stamp."""
         parts = [
             topic + part
@@ -185,6 +185,7 @@ class _Demultiplexer:
         self._bag = bag
         self._queues: dict[str, deque[Raw]] = {topic: deque() for topic in topics}
         self._left = {topic: sum(c.msgcount for c in bag._connections[topic]) for topic in topics}
+        self._images = {topic for topic in topics if bag.stream(topic).role == "image"}
         self._source = bag._reader.messages([c for topic in topics for c in bag._connections[topic]])
 
     def of(self, topic: str) -> Iterator[Raw]:
@@ -200,7 +201,7 @@ class _Demultiplexer:
             return False
         connection, record_ns, raw = found
         self._left[connection.topic] -= 1
-        if self._bag.stream(connection.topic).role == "image":
+        if connection.topic in self._images:
             raw = raw[:12]  # the stamp; pixels do not wait in queues
         self._queues[connection.topic].append((record_ns, raw))
         return True
@@ -219,9 +220,18 @@ class _Follower:
         return self._next[1] if self._next and self._next[0] == t_ns else None
 
 
+def is_ros1(path: Path) -> bool:
+    """By the first bytes, for bags of any name (a bag being recorded ends in .bag.active)."""
+    try:
+        with path.open("rb") as file:
+            return file.read(7) == b"#ROSBAG"
+    except OSError:
+        return False
+
+
 def _kind(path: Path) -> str:
     """ros1, ros2 (sqlite3) or mcap."""
-    if path.suffix == ".bag":
+    if path.suffix == ".bag" or (path.is_file() and is_ros1(path)):
         return "ros1"
     is_mcap = path.suffix == ".mcap" or (path.is_dir() and any(path.glob("*.mcap*")))
     return "mcap" if is_mcap else "ros2"

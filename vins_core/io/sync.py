@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import CalibrationError, RecordingError
 from ..params import Params
 from ..sensors import Anomaly, Calibration, ImageRef, ImuSamples, Packet
-from .anomalies import ImuWatch, StampWatch
+from .anomalies import ImuWatch, image_watch
 from .messages import ImuMessage
 from .recording import Recording
 
@@ -144,35 +144,42 @@ def _check(recording: Recording, calibration: Calibration, td_ns: int) -> ImageR
 
 def _packets(recording: Recording, params: Params, td_ns: int, start_ns: int, stop_ns: int | None) -> Iterator[Packet]:
     image_stream, imu_stream = recording.stream(recording.image_topics[0]), recording.stream(recording.imu_topic)
-    image_watch = StampWatch(image_stream.topic, image_stream.rate_hz, "dropped_image", gap_factor=1.6)
+    camera_watch = image_watch(image_stream.topic, image_stream.rate_hz)
     imu_watch = ImuWatch(imu_stream.topic, imu_stream.rate_hz)
     control = FrequencyControl(params.frontend.freq, params.frontend.max_gap_s)
     queue = ImuQueue()
     waiting: list[ImageRef] = []  # images whose IMU has not come yet
+    early: list[ImageRef] = []  # images from before the IMU begins
     images: list[ImageRef] = []  # images since the last frame
     anomalies: list[Anomaly] = []
     ready: Packet | None = None  # held back by one, so that what is found after the last frame is not lost
     frame = 0
 
+    over = False
     for event in recording.events():
         if isinstance(event, ImuMessage):
             if imu_watch.see_sample(event):
                 queue.append(event, imu_watch.after_gap)
-        else:
-            if stop_ns is not None and event.t_ns > stop_ns:
-                break
-            if event.t_ns >= start_ns and image_watch.see(event.t_ns):
-                waiting.append(event)
+        elif stop_ns is not None and event.t_ns > stop_ns:
+            over = True
+        elif event.t_ns >= start_ns and camera_watch.see(event.t_ns):
+            waiting.append(event)
+        if over and not waiting:
+            break
         if frame == 0:
             oldest = waiting[0].t_ns + td_ns if waiting else event.t_ns
             queue.forget_before(oldest - LEAD_IN_NS)
         while waiting and queue.reaches(waiting[0].t_ns + td_ns):
             image = waiting.pop(0)
-            anomalies += imu_watch.take() + image_watch.take()
+            anomalies += imu_watch.take() + camera_watch.take()
             t_imu = image.t_ns + td_ns
             if queue.starts_after(t_imu):
-                anomalies.append(_without_imu(image, image_stream.topic, "the IMU begins later; it is left out"))
+                early.append(image)
                 continue
+            if early:
+                why = f"the IMU begins later; {len(early)} images are left out"
+                anomalies.append(_without_imu(early[0], image_stream.topic, why))
+                early = []
             images.append(image)
             if not control.is_due(image.t_ns):
                 continue
@@ -188,9 +195,11 @@ def _packets(recording: Recording, params: Params, td_ns: int, start_ns: int, st
             frame += 1
             images, anomalies = [], []
 
-    anomalies += imu_watch.take() + image_watch.take()
+    anomalies += imu_watch.take() + camera_watch.take()
     if waiting:
-        anomalies.append(_without_imu(waiting[0], image_stream.topic, f"it ends before {len(waiting)} images"))
+        anomalies.append(
+            _without_imu(waiting[0], image_stream.topic, f"it ends earlier; {len(waiting)} images are left out")
+        )
     if ready is None:
         raise RecordingError(
             f"{recording.path}: no image of {image_stream.topic} in the chosen time has IMU samples on both sides; "

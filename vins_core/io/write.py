@@ -6,7 +6,7 @@ Stamps stay exact to the nanosecond, numbers to the last bit, and encoded images
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Literal, Protocol, get_args
@@ -15,7 +15,7 @@ from ..errors import OutputError, VinspectError
 from . import own_yaml
 from .asl import AslRecording
 from .calibration import Settings, read_calibration
-from .messages import Message
+from .messages import ImageMessage, Message
 from .recording import Recording
 from .write_asl import AslWriter
 from .write_ros import Ros1Writer, Ros2Writer
@@ -65,12 +65,29 @@ def write_recording(
     return out
 
 
-def convert(recording: Recording, out: Path | str, format: Format, settings: Settings | None = None) -> Path:
-    """Everything in a recording, in another format; an EuRoC folder's own calibration goes along."""
+def convert(
+    recording: Recording,
+    out: Path | str,
+    format: Format,
+    settings: Settings | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Path:
+    """Everything in a recording, in another format; an EuRoC folder's own calibration goes along.
+
+    `progress` gets the share that is done, after each image.
+    """
     if settings is None and isinstance(recording, AslRecording):
         with suppress(VinspectError):  # a folder without complete sensor.yaml files has no calibration to pass on
             settings = read_calibration([], recording)
-    return write_recording(recording.messages(), out, format, settings=settings)
+    total = sum(s.count for s in recording.streams if s.role in ("image", "imu", "gps", "truth"))
+
+    def messages() -> Iterator[Message]:
+        for done, message in enumerate(recording.messages(), 1):
+            yield message
+            if isinstance(message, ImageMessage):
+                progress(done / total)
+
+    return write_recording(messages(), out, format, settings=settings)
 
 
 def calibration_path(out: Path) -> Path:

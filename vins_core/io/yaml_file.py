@@ -36,13 +36,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise CalibrationError(f"{path}: {path.stat().st_size} bytes; a calibration file has less than {MAX_BYTES}")
-        text = path.read_text(encoding="utf-8-sig")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")  # comments come in any encoding
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: not a text file; expected YAML") from error
-    if text.startswith("%YAML:"):  # OpenCV's header, which YAML itself does not allow
-        text = "#" + text
+    if text.startswith("%YAML:"):  # OpenCV's header, which YAML itself does not allow, and its tolerance of tabs
+        text = "#" + text.expandtabs()
     yaml = YAML(typ="safe", pure=True)
     yaml.Constructor = _Constructor
     try:
