@@ -26,10 +26,13 @@ def keep_spaced(uv_px: np.ndarray, min_dist: float, usable: np.ndarray | None) -
 def detect_corners(
     image: np.ndarray, n: int, taken_uv_px: np.ndarray, params: Frontend, usable: np.ndarray | None
 ) -> np.ndarray:
-    """Up to n new corners (k, 2) float32, strongest first, away from the tracks there are."""
+    """Up to n new corners (k, 2) float32, strongest first, away from the border and the tracks there are."""
     if n <= 0:
         return np.zeros((0, 2), np.float32)
-    mask = np.full(image.shape, 255, np.uint8) if usable is None else usable.copy()
+    border = params.border_px
+    inside = slice(border, image.shape[0] - border), slice(border, image.shape[1] - border)
+    mask = np.zeros(image.shape, np.uint8)
+    mask[inside] = 255 if usable is None else usable[inside]
     for u, v in np.rint(taken_uv_px).astype(int).tolist():
         cv2.circle(mask, (u, v), params.min_dist, 0, cv2.FILLED)
     corners = cv2.goodFeaturesToTrack(image, n, params.corner_quality, params.min_dist, mask=mask)

@@ -13,7 +13,7 @@ from ..window.state import Observations
 from .detect import detect_corners, keep_spaced
 from .images import EqualizedImages, check_size, usable_area
 from .ledger import FATES, KEPT, TrackLedger
-from .reject import fundamental_ransac
+from .reject import epipolar_inliers
 from .state import TrackerState
 from .track import follow
 
@@ -29,8 +29,9 @@ def track(
     """Carry the tracks through the images of a packet; the last image is the frame the estimator gets.
 
     Wrap `images` in `EqualizedImages` once and pass that, and each image is decoded and equalised once.  Tracks in
-    `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than `max_gap_s`, or time that
-    does not advance, drops every track and fails the deciding gate "image interval"; ids are never given twice.
+    `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than
+    `max_gap_s`, or time that does not advance, drops every track and fails the deciding gate "image interval"; ids are
+    never given twice.
     Raises CalibrationError when an image or the mask does not have the camera's size.
     """
     source = images if isinstance(images, EqualizedImages) else EqualizedImages(images)
@@ -86,10 +87,10 @@ def _follow_images(
 
 
 def _reject(params: Frontend, camera: CameraCalibration, tracks: TrackLedger) -> Gate:
-    """F-RANSAC between the last frame and this one, over the tracks that were in both."""
+    """Epipolar RANSAC between the last frame and this one, over the tracks that were in both."""
     both = np.flatnonzero(np.isfinite(tracks.frame_uv_px).all(1))
     before = camera.model.lift(tracks.frame_uv_px[both])
-    inlier = fundamental_ransac(before, tracks.rays[both], params.F_threshold, params.F_confidence)
+    inlier = epipolar_inliers(before, tracks.rays[both], params)
     n_tested, n_inliers = 0, 0
     if inlier is not None:
         n_tested, n_inliers = len(inlier), int(inlier.sum())
