@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from functools import lru_cache
-from pathlib import Path
+from threading import Lock
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -17,33 +18,34 @@ from ..errors import CalibrationError
 from ..params import Frontend
 from ..sensors import CameraCalibration, ImageRef, ImageSource
 
+CAPACITY = 4
+"""Images kept for each source."""
 
-class EqualizedImages:
-    """An image source that remembers its last few equalised images; one for each thread that steps."""
+_kept: WeakKeyDictionary[ImageSource, OrderedDict[tuple, np.ndarray]] = WeakKeyDictionary()
+_lock = Lock()
 
-    def __init__(self, source: ImageSource, capacity: int = 4):
-        self._source = source
-        self._capacity = capacity
-        self._kept: OrderedDict[tuple[ImageRef, bool, float, int], np.ndarray] = OrderedDict()
 
-    def load(self, ref: ImageRef) -> np.ndarray:
-        return self._source.load(ref)
+def equalized(source: ImageSource, ref: ImageRef, params: Frontend) -> np.ndarray:
+    """(rows, columns) uint8, read-only, after CLAHE when `params.equalize` (REFERENCE T3).
 
-    def equalized(self, ref: ImageRef, params: Frontend) -> np.ndarray:
-        """(rows, columns) uint8, read-only, after CLAHE when `params.equalize` (REFERENCE T3)."""
-        key = (ref, params.equalize, params.clahe_clip, params.clahe_tiles)
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        image = self._source.load(ref)
-        if params.equalize:
-            image = cv2.createCLAHE(params.clahe_clip, (params.clahe_tiles, params.clahe_tiles)).apply(image)
-        image = image.view()
-        image.flags.writeable = False
-        self._kept[key] = image
-        if len(self._kept) > self._capacity:
-            self._kept.popitem(last=False)
-        return image
+    Sources are told apart by identity, and what is kept of one goes when the source goes.
+    """
+    key = (ref, params.equalize, params.clahe_clip, params.clahe_tiles)
+    with _lock:
+        kept = _kept.setdefault(source, OrderedDict())
+        if key in kept:
+            kept.move_to_end(key)
+            return kept[key]
+    image = source.load(ref)
+    if params.equalize:
+        image = cv2.createCLAHE(params.clahe_clip, (params.clahe_tiles, params.clahe_tiles)).apply(image)
+    image = image.view()
+    image.flags.writeable = False
+    with _lock:
+        kept[key] = image
+        while len(kept) > CAPACITY:
+            kept.popitem(last=False)
+    return image
 
 
 def check_size(image: np.ndarray, camera: CameraCalibration, ref: ImageRef) -> None:
@@ -78,7 +80,7 @@ def _read_mask(path: str) -> np.ndarray:
         raise CalibrationError(f"mask {path} cannot be read: {error.strerror}; check the mask of the camera") from None
     image = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if len(encoded) else None
     if image is None:
-        raise CalibrationError(f"mask {Path(path)} is not an image; expected PNG or JPEG, white where usable")
+        raise CalibrationError(f"mask {path} is not an image; expected PNG or JPEG, white where usable")
     mask = np.where(image > 127, np.uint8(255), np.uint8(0))
     mask.flags.writeable = False
     return mask

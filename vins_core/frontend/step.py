@@ -11,7 +11,7 @@ from ..report import Gate, LossReason, TrackReport
 from ..sensors import CameraCalibration, ImageSource, Packet
 from ..window.state import Observations
 from .detect import detect_corners, keep_spaced
-from .images import EqualizedImages, check_size, usable_area
+from .images import check_size, equalized, usable_area
 from .ledger import FATES, KEPT, TrackLedger
 from .reject import epipolar_inliers
 from .state import TrackerState
@@ -28,23 +28,21 @@ def track(
 ) -> tuple[TrackerState, Observations, TrackReport]:
     """Carry the tracks through the images of a packet; the last image is the frame the estimator gets.
 
-    Wrap `images` in `EqualizedImages` once and pass that, and each image is decoded and equalised once.  Tracks in
-    `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than
+    Tracks in `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than
     `max_gap_s`, or time that does not advance, drops every track and fails the deciding gate "image interval"; ids are
     never given twice.
     Raises CalibrationError when an image or the mask does not have the camera's size.
     """
-    source = images if isinstance(images, EqualizedImages) else EqualizedImages(images)
     usable = usable_area(camera)
     tracks = TrackLedger(state)
     for reason, ids in (rejected or {}).items():
         tracks.drop(np.isin(tracks.ids, list(ids)), reason)
-    gates = _follow_images(params, camera, source, tracks, packet)
+    gates = _follow_images(params, camera, images, tracks, packet)
     if params.f_ransac:
         gates.append(_reject(params, camera, tracks))
     tracks.drop(~keep_spaced(tracks.uv_px, params.min_dist, usable), LossReason.MASK)
     n_old = len(tracks)
-    _refill(params, camera, source.equalized(packet.images[-1], params), usable, tracks)
+    _refill(params, camera, equalized(images, packet.images[-1], params), usable, tracks)
     gates.append(Gate("tracks", len(tracks), ">=", params.min_tracks, "frontend.min_tracks", decides=False))
     report = TrackReport(
         tracks.ids, tracks.uv_px, tracks.age, tracks.velocity, *tracks.lost(), len(tracks) - n_old, tuple(gates)
@@ -53,12 +51,12 @@ def track(
 
 
 def _follow_images(
-    params: Frontend, camera: CameraCalibration, images: EqualizedImages, tracks: TrackLedger, packet: Packet
+    params: Frontend, camera: CameraCalibration, images: ImageSource, tracks: TrackLedger, packet: Packet
 ) -> list[Gate]:
     """Move the tracks from image to image; those found again are one image older."""
     n, intervals_s = len(tracks), []
     for ref in packet.images:
-        image = images.equalized(ref, params)
+        image = equalized(images, ref, params)
         check_size(image, camera, ref)
         if tracks.image is not None:
             dt_s = (ref.t_ns - tracks.image.t_ns) * 1e-9
@@ -68,7 +66,7 @@ def _follow_images(
                 tracks.drop(np.ones(len(tracks), bool), LossReason.RESET)
         if len(tracks):
             assert tracks.image is not None
-            uv_px, fate = follow(images.equalized(tracks.image, params), image, tracks.uv_px, params)
+            uv_px, fate = follow(equalized(images, tracks.image, params), image, tracks.uv_px, params)
             rays = camera.model.lift(uv_px)
             fate[(fate == KEPT) & ~np.isfinite(rays).all(1)] = FATES[LossReason.BORDER]  # the lens shows nothing there
             tracks.end(fate)

@@ -23,7 +23,6 @@ from plane_world import (
 )
 
 from vins_core.errors import CalibrationError
-from vins_core.frontend.images import EqualizedImages
 from vins_core.frontend.step import track
 from vins_core.params import DECLARATIONS, Params
 from vins_core.report import LOSS_REASONS, LossReason
@@ -32,9 +31,8 @@ from vins_core.report import LOSS_REASONS, LossReason
 def run(images, stream, params=PARAMS, camera=CAMERA, state=None, rejected=None):
     """Every (state, observations, report) of a stream of packets."""
     state, out = state or start(), []
-    source = EqualizedImages(images)
     for p in stream:
-        state, observations, report = track(params, camera, source, state, p, rejected if p.frame else None)
+        state, observations, report = track(params, camera, images, state, p, rejected if p.frame else None)
         out.append((state, observations, report))
     return out
 
