@@ -12,7 +12,12 @@ import numpy as np
 
 from vins_core.factors.preintegration import preintegrate
 from vins_core.geometry import se3, so3
+from vins_core.params import Params
 from vins_core.sensors import ImuNoise, ImuSamples
+from vins_core.solver.levenberg_marquardt import solve
+from vins_core.window.assemble import assemble, unpack
+from vins_core.window.marginalize import marginalize_oldest
+from vins_core.window.slide import drop_oldest
 from vins_core.window.state import TRIANGULATED, Landmarks, Observations, WindowFrame, WindowState
 
 GRAVITY = 9.81
@@ -164,3 +169,31 @@ def _tracks(rng, p, q, n_tracks, pixel_sigma, outliers, max_angle):
         inv_depths[track] = 1 / points_c[0, 2]
         track += 1
     return np.concatenate(ids), np.concatenate(slots), np.concatenate(rays), inv_depths
+
+
+def steady(params: Params, seed: int = 0, **options) -> Synthetic:
+    """A window in full flight: the prior of the frame that left, solved estimates, and a newest frame predicted."""
+    flight = make(seed, n_frames=params.window.size + 2, **options)
+
+    def part(window: WindowState, frames: slice) -> WindowState:
+        chosen = window.frames[frames]
+        known = np.unique(np.concatenate([f.observations.ids for f in chosen]))
+        table = window.landmarks
+        rows = np.searchsorted(table.ids, known)
+        return replace(window, frames=chosen, landmarks=Landmarks(known, table.inv_depth[rows], table.status[rows]))
+
+    start = part(flight.window, slice(-1))
+    assembly = assemble(params, start, GRAVITY)
+    window = unpack(start, assembly, solve(params.solver, 30, assembly.problem).states)
+    prior, _ = marginalize_oldest(params, window, GRAVITY)
+    newest = flight.window.frames[-1]
+    last = window.frames[-1]
+    newest = replace(newest, b_a=last.b_a, b_g=last.b_g)
+    slid = drop_oldest(replace(window, frames=(*window.frames, newest), prior=prior))
+    table = flight.truth.landmarks  # landmarks first seen by the newest frames
+    rows = np.searchsorted(table.ids, slid.landmarks.ids)
+    unknown = ~np.isfinite(slid.landmarks.inv_depth)
+    inv_depth = np.where(unknown, table.inv_depth[rows], slid.landmarks.inv_depth)
+    landmarks = Landmarks(slid.landmarks.ids, inv_depth, np.full(len(rows), TRIANGULATED, np.uint8))
+    truth = part(flight.truth, slice(1, None))
+    return Synthetic(replace(slid, landmarks=landmarks), truth, flight.noise)

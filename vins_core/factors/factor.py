@@ -69,13 +69,13 @@ class Factor:
         return columns
 
     def function(self, active: tuple[str, ...]) -> ca.Function:
-        """(x_1, ..., x_k, data) -> (r, J) as a CasADi function; J has the columns of the active blocks."""
+        """(x_1, ..., x_k, data) -> [J r] as a CasADi function; J has the columns of the active blocks."""
         return _differentiate(self, active)
 
     def batch(self, n: int, active: tuple[str, ...], uniform: tuple[str, ...] = (), backend: str = "tape") -> Batch:
         """Arrays for n rows.  A uniform block has the same value in every row."""
         if backend == "vm":
-            return VmBatch(self, self.function(active), n)
+            return VmBatch(self, active, n)
         return TapeBatch(self, active, n, tuple(k for k, b in enumerate(self.blocks) if b.name in uniform))
 
 
@@ -88,8 +88,7 @@ def _differentiate(factor: Factor, active: tuple[str, ...]) -> ca.Function:
     moved = factor.residual([b.at(xb, db) for b, xb, db in zip(factor.blocks, x, d)], data)
     delta = ca.vertcat(*(db for db in d if db is not None))
     J = ca.substitute(ca.jacobian(moved, delta), delta, ca.DM.zeros(delta.numel(), 1))
-    # J' stored by columns is J stored by rows, NumPy's own order
-    return ca.Function(factor.name, [*x, data], [ca.densify(r), ca.densify(J.T)], {"cse": True})
+    return ca.Function(factor.name, [*x, data], [ca.densify(ca.horzcat(J, r))], {"cse": True})
 
 
 @lru_cache(maxsize=64)
@@ -98,15 +97,25 @@ def _tape(factor: Factor, active: tuple[str, ...], uniform: tuple[int, ...]) -> 
 
 
 class Batch:
-    """n rows of one factor.  Write `inputs`, call `evaluate`, read `r` and `J`.
+    """n rows of one factor.  Write `inputs` and `data`, call `evaluate`, read `system`.
 
-    inputs: per block (size, n), or (size,) for a uniform block; `data` (n_data, n); r (n_r, n); J (n_r, n_tangent, n).
+    inputs: per block (size, n), or (size,) for a uniform block;  data: (n_data, n);
+    system: (columns + 1, n_r, n), the columns of J with the residual as the last one.
     """
 
     inputs: list[np.ndarray]
     data: np.ndarray
-    r: np.ndarray
-    J: np.ndarray
+    system: np.ndarray
+
+    @property
+    def r(self) -> np.ndarray:
+        """(n_r, n)."""
+        return self.system[-1]
+
+    @property
+    def J(self) -> np.ndarray:
+        """(columns, n_r, n)."""
+        return self.system[:-1]
 
     def evaluate(self) -> None:
         raise NotImplementedError
@@ -116,14 +125,12 @@ class TapeBatch(Batch):
     """Rows as vector lanes of a NumPy program: one NumPy call per SX instruction."""
 
     def __init__(self, factor: Factor, active: tuple[str, ...], n: int, uniform: tuple[int, ...]):
-        f = factor.function(active)
-        tape = _tape(factor, active, uniform)
+        rows, columns = factor.function(active).size_out(0)
         self.inputs = [np.empty(b.size if k in uniform else (b.size, n)) for k, b in enumerate(factor.blocks)]
         self.data = np.empty((factor.n_data, n))
-        n_r = f.size1_out(0)
-        out_r, out_J = np.zeros((n_r, n)), np.zeros((f.nnz_out(1), n))
-        self.r, self.J = out_r, out_J.reshape(n_r, -1, n)
-        self._run = tape.bind([*self.inputs, self.data], [out_r, out_J], n)
+        self.system = np.empty((columns, rows, n))
+        output = self.system.reshape(columns * rows, n)
+        self._run = _tape(factor, active, uniform).bind([*self.inputs, self.data], [output], n)
 
     def evaluate(self) -> None:
         self._run()
@@ -132,20 +139,19 @@ class TapeBatch(Batch):
 class VmBatch(Batch):
     """Rows through CasADi's virtual machine; the arrays are views of the buffers it reads and writes."""
 
-    def __init__(self, factor: Factor, f: ca.Function, n: int):
-        buffer: Any  # keeps raw pointers into the arrays below
+    def __init__(self, factor: Factor, active: tuple[str, ...], n: int):
+        f = factor.function(active)
+        rows, columns = f.size_out(0)
+        arrays = [np.zeros((n, f.nnz_in(k))) for k in range(f.n_in())]
+        output = np.zeros((n, columns, rows))
+        *self.inputs, self.data = (a.T for a in arrays)
+        self.system = output.transpose(1, 2, 0)
+        buffer: Any  # holds raw pointers into the arrays, which live as long as their views here
         buffer, self._trigger = f.map(n).buffer()
+        for k, a in enumerate(arrays):
+            buffer.set_arg(k, a.data)
+        buffer.set_res(0, output.data)
         self._buffer = buffer
-        self._arrays = [np.zeros((n, f.nnz_in(k))) for k in range(f.n_in())]
-        self._outputs = [np.zeros((n, f.nnz_out(k))) for k in range(f.n_out())]
-        for k, a in enumerate(self._arrays):
-            buffer.set_arg(k, memoryview(a))
-        for k, a in enumerate(self._outputs):
-            buffer.set_res(k, memoryview(a))
-        *self.inputs, self.data = (a.T for a in self._arrays)
-        n_r = f.size1_out(0)
-        self.r = self._outputs[0].T
-        self.J = self._outputs[1].reshape(n, n_r, -1).transpose(1, 2, 0)
 
     def evaluate(self) -> None:
         self._trigger()

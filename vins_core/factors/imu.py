@@ -16,7 +16,6 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import lapack
 
 from .factor import Factor, pose, vector
 from .preintegration import Preintegration
@@ -25,13 +24,13 @@ from .symbolic import conjugate, multiply, small_rotation
 PARTS = ("p", "q", "v", "ba", "bg")
 """The five 3-vectors of the residual, in order."""
 
-_SPLIT = np.cumsum([0, 1, 3, 4, 3, 3, 3, 9, 9, 9, 9, 9, 1]).tolist()
+_SPLIT = np.cumsum([0, 1, 3, 4, 3, 3, 3, 54, 1]).tolist()
 
 
 def _residual(values: list, data: ca.SX) -> ca.SX:
     pose_i, sb_i, pose_j, sb_j = values
-    dt, dp, dq, dv, b_a0, b_g0, *jacobians, gravity = ca.vertsplit(data, _SPLIT)
-    dp_dba, dp_dbg, dq_dbg, dv_dba, dv_dbg = (ca.reshape(m, 3, 3).T for m in jacobians)
+    dt, dp, dq, dv, b_a0, b_g0, jacobian, gravity = ca.vertsplit(data, _SPLIT)
+    (dp_dba, dp_dbg), (_, dq_dbg), (dv_dba, dv_dbg) = ca.blocksplit(ca.reshape(jacobian, 6, 9).T, 3, 3)
     v_i, b_a_i, b_g_i = ca.vertsplit(sb_i, [0, 3, 6, 9])
     v_j, b_a_j, b_g_j = ca.vertsplit(sb_j, [0, 3, 6, 9])
     dba, dbg = b_a_i - b_a0, b_g_i - b_g0
@@ -54,42 +53,20 @@ IMU = Factor(
     _SPLIT[-1],
     _residual,
 )
-"""Speed-bias blocks are (v, b_a, b_g).  The residual is not whitened; see `whitening`."""
+"""Speed-bias blocks are (v, b_a, b_g).  The residual is not whitened; see `Preintegration.whitening`."""
 
 ACTIVE = tuple(b.name for b in IMU.blocks)
 
 
-def measurement(preintegrations: Sequence[Preintegration], gravity_m_s2: float) -> np.ndarray:
-    """The data rows of the factor, (n_data, k)."""
-    rows = [
-        np.concatenate(
-            [
-                [m.dt_s],
-                m.delta_p,
-                m.delta_q,
-                m.delta_v,
-                m.b_a,
-                m.b_g,
-                m.jacobian[0:3, 0:3].ravel(),
-                m.jacobian[0:3, 3:6].ravel(),
-                m.jacobian[3:6, 3:6].ravel(),
-                m.jacobian[6:9, 0:3].ravel(),
-                m.jacobian[6:9, 3:6].ravel(),
-                [gravity_m_s2],
-            ]
-        )
-        for m in preintegrations
-    ]
-    return np.array(rows).reshape(len(rows), _SPLIT[-1]).T
-
-
-def whitening(preintegration: Preintegration) -> np.ndarray:
-    """L^-1 (15, 15), the square root of the information.
-
-    A covariance without full rank (an interval of zero length) is floored at a standard deviation of 1e-8.
-    """
-    P = preintegration.covariance
-    L, info = lapack.dpotrf(P, lower=1)
-    if info:
-        L = np.linalg.cholesky(P + 1e-16 * np.eye(15))
-    return lapack.dtrtri(L, lower=1)[0]
+def measurement(
+    preintegrations: Sequence[Preintegration], gravity_m_s2: float, out: np.ndarray | None = None
+) -> np.ndarray:
+    """The data of the factor, one row per interval, (k, n_data)."""
+    out = np.empty((len(preintegrations), IMU.n_data)) if out is None else out
+    for row, m in zip(out, preintegrations):
+        row[0] = m.dt_s
+        row[1:4], row[4:8], row[8:11] = m.delta_p, m.delta_q, m.delta_v
+        row[11:14], row[14:17] = m.b_a, m.b_g
+        row[17:71] = m.jacobian[:9].reshape(-1)
+        row[71] = gravity_m_s2
+    return out

@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lapack
 
 from ..geometry import so3
 from ..sensors import ImuNoise, ImuSamples
@@ -37,6 +39,17 @@ class Preintegration:
     delta_v: np.ndarray  # (3,)
     jacobian: np.ndarray  # (15, 6): columns b_a, b_g
     covariance: np.ndarray  # (15, 15)
+
+    @cached_property
+    def whitening(self) -> np.ndarray:
+        """L^-1 (15, 15) with L L' the covariance: the square root of the information.
+
+        A covariance without full rank (an interval of zero length) is floored at a standard deviation of 1e-8.
+        """
+        L, info = lapack.dpotrf(self.covariance, lower=1)
+        if info:
+            L = np.linalg.cholesky(self.covariance + 1e-16 * np.eye(15))
+        return lapack.dtrtri(L, lower=1)[0]
 
 
 def preintegrate(imu: ImuSamples, b_a: np.ndarray, b_g: np.ndarray, noise: ImuNoise) -> Preintegration:

@@ -6,6 +6,10 @@ with that of the linear model (the gain ratio) and
     accepts the step when the ratio exceeds min_gain_ratio:  radius /= max(1/3, 1 - (2 ratio - 1)^3)
     rejects it otherwise:                                    radius /= 2, 4, 8, ... in a row
 
+Position and yaw of the whole window are invisible to camera and IMU; without damping, rounding errors and the
+prior's linearisation decide them.  The oldest pose is therefore damped strongly in these four directions, which
+holds them without changing the minimum over all others (VINS lets them go and puts them back, REFERENCE O9).
+
 `init`, `step`, `terminate` can be called one by one; `solve` loops over them.
 """
 
@@ -16,10 +20,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import params
+from ..geometry import so3
 from ..report import CostSplit, IterationReport
 from . import schur
-from .linearize import Linearizer, NormalEquations
+from .linearize import Linearizer, NormalEquations, Residuals
 from .problem import States, WindowProblem
+
+GAUGE_INFORMATION = 1e8
+"""Damping of position and yaw of the oldest frame, 1/m^2 and 1/rad^2."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +45,8 @@ class Iteration:
 @dataclass(frozen=True)
 class Solution:
     states: States
-    system: NormalEquations  # normal equations at `states`
+    system: NormalEquations  # at `states`
+    residuals: Residuals  # at `states`
     before: CostSplit
     after: CostSplit
     iterations: tuple[IterationReport, ...]
@@ -54,13 +63,15 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     cost = system.cost.total
     Dc = np.clip(system.H.diagonal(), 1e-6, 1e32)
     Dl = np.clip(system.h, 1e-6, 1e32)
-    solved = schur.solve_damped(system, Dc / at.radius, Dl / at.radius)
+    gauge = gauge_damping(at.states)
+    solved = schur.solve_damped(system, Dc / at.radius, Dl / at.radius, gauge)
     ratio, step_norm, trial_cost = float("-inf"), float("nan"), float("nan")
     if solved is not None:
         dc, dl = solved
         step_norm = float(np.sqrt(dc @ dc + dl @ dl))
-        # the model falls by -g.d - d'Hd/2, and (H + D/radius) d = -g
-        predicted = 0.5 * (((Dc * dc) @ dc + (Dl * dl) @ dl) / at.radius - system.g @ dc - system.g_l @ dl)
+        # the model falls by -g.d - d'Hd/2, and (H + damping) d = -g
+        damping = ((Dc * dc) @ dc + (Dl * dl) @ dl) / at.radius + dc[:6] @ gauge @ dc[:6]
+        predicted = 0.5 * (damping - system.g @ dc - system.g_l @ dl)
         states = linearizer.retract(at.states, dc, dl)
         trial = linearizer.linearize(states)
         trial_cost = trial.cost.total
@@ -74,6 +85,15 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     radius = min(at.radius / max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), settings.max_radius)
     fall = (cost - trial_cost) / cost if cost > 0 else 0.0
     return Iteration(states, trial, radius, 2.0, reports, fall)
+
+
+def gauge_damping(states: States) -> np.ndarray:
+    """(6, 6) on the oldest pose: its position, and its rotation about gravity, whose axis in the body is R' e_z."""
+    axis = so3.rotate(so3.inverse(states.poses[0, 3:]), np.array([0.0, 0.0, 1.0]))
+    damping = np.zeros((6, 6))
+    damping[:3, :3] = np.eye(3)
+    damping[3:, 3:] = np.outer(axis, axis)
+    return GAUGE_INFORMATION * damping
 
 
 def terminate(settings: params.Solver, at: Iteration, max_iterations: int) -> str | None:
@@ -98,4 +118,5 @@ def solve(settings: params.Solver, max_iterations: int, problem: WindowProblem) 
     before = at.system.cost
     while (why := terminate(settings, at, max_iterations)) is None:
         at = step(settings, linearizer, at)
-    return Solution(at.states, at.system, before, at.system.cost, at.reports, why)
+    residuals = linearizer.residuals(at.states)
+    return Solution(at.states, at.system, residuals, before, at.system.cost, at.reports, why)

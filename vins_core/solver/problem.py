@@ -7,13 +7,14 @@ Frames are numbered by slot, oldest 0; the factors are tables of slots and rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..factors.preintegration import Preintegration
 from ..factors.robust import Loss
 from ..geometry import so3
+from .layout import Block
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,19 @@ class States:
     poses: np.ndarray  # (n, 7) p_w_b, q_w_b wxyz
     speed_biases: np.ndarray  # (n, 9) v_w_b, b_a, b_g
     extrinsics: np.ndarray  # (cameras, 7) p_b_c, q_b_c
-    inv_depths: np.ndarray  # (m,) 1/m along z of the anchor camera
+    inv_depths: np.ndarray  # (M,) 1/m along z of the anchor camera
+
+    def value(self, block: Block) -> np.ndarray:
+        tables = {"pose": self.poses, "speed_bias": self.speed_biases, "extrinsic": self.extrinsics}
+        return tables[block.kind][block.slot]
 
 
 @dataclass(frozen=True)
 class Projections:
-    """One row per reprojection factor, sorted by (landmark, observer): each observation but the anchor's own."""
+    """One row per reprojection factor: each observation of a landmark but the anchor's own."""
 
     anchor: np.ndarray  # (N,) slot whose camera holds the inverse depth
-    observer: np.ndarray  # (N,) slot that sees the landmark again
+    observer: np.ndarray  # (N,) slot that sees the landmark again, later than the anchor
     landmark: np.ndarray  # (N,) row of States.inv_depths
     rays_i: np.ndarray  # (N, 3) unit ray in the anchor camera
     rays_j: np.ndarray  # (N, 3) unit ray in the observing camera
@@ -41,31 +46,14 @@ class Projections:
         return len(self.anchor)
 
     def __getitem__(self, rows: np.ndarray | slice) -> Projections:
-        return Projections(
-            self.anchor[rows],
-            self.observer[rows],
-            self.landmark[rows],
-            self.rays_i[rows],
-            self.rays_j[rows],
-            self.camera,
+        return replace(
+            self,
+            anchor=self.anchor[rows],
+            observer=self.observer[rows],
+            landmark=self.landmark[rows],
+            rays_i=self.rays_i[rows],
+            rays_j=self.rays_j[rows],
         )
-
-
-@dataclass(frozen=True)
-class Block:
-    """One variable of the cameras: `pose` or `speed_bias` of a slot, `extrinsic` of a camera."""
-
-    kind: str  # "pose" | "speed_bias" | "extrinsic"
-    slot: int
-
-    @property
-    def size(self) -> int:
-        """Dimension of the tangent space."""
-        return 9 if self.kind == "speed_bias" else 6
-
-    def value(self, states: States) -> np.ndarray:
-        tables = {"pose": states.poses, "speed_bias": states.speed_biases, "extrinsic": states.extrinsics}
-        return tables[self.kind][self.slot]
 
 
 @dataclass(frozen=True)
@@ -89,7 +77,7 @@ class WindowProblem:
     sqrt_info: float  # 1/sigma of a normalised coordinate
     loss: Loss
     free_extrinsics: bool = False
-    """Whether the extrinsics are variables; otherwise they cost nothing."""
+    """Whether the extrinsics are variables; held ones cost nothing."""
 
     @property
     def n_frames(self) -> int:

@@ -12,12 +12,17 @@ from .linearize import NormalEquations
 
 
 def solve_damped(
-    system: NormalEquations, damping_c: np.ndarray, damping_l: np.ndarray
+    system: NormalEquations, damping_c: np.ndarray, damping_l: np.ndarray, damping_oldest: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """(dc, dl) of the system with damping added to its diagonal; None when it is not positive definite."""
+    """(dc, dl) of the system with damping added to its diagonals; None when it is not positive definite.
+
+    `damping_oldest` (6, 6) is added to the block of the oldest pose.
+    """
     h = system.h + damping_l
     S, b = eliminate(system, h)
     S.reshape(-1)[:: len(S) + 1] += damping_c
+    if damping_oldest is not None:
+        S[:6, :6] += damping_oldest
     factor, info = lapack.dpotrf(S, lower=1, clean=0, overwrite_a=1)
     if info:
         return None

@@ -16,9 +16,9 @@ from ..factors.robust import Loss
 from ..geometry import so3
 from ..params import Params
 from ..report import SolveReport
+from ..solver.layout import Block
 from ..solver.levenberg_marquardt import Solution
-from ..solver.linearize import Linearizer
-from ..solver.problem import Block, PriorFactor, Projections, States, WindowProblem
+from ..solver.problem import PriorFactor, Projections, States, WindowProblem
 from .state import OUTLIER, Landmarks, WindowFrame, WindowState
 
 MIN_ANCHOR_Z = 0.05
@@ -168,7 +168,7 @@ def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowSta
 def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
     problem = assembly.problem
     table = problem.projections
-    residuals = Linearizer(problem).residuals(solution.states)
+    residuals = solution.residuals
     sigma = np.full((problem.n_frames - 1, 5), np.nan)
     sigma[[k for k, _ in problem.imu]] = np.linalg.norm(residuals.imu.reshape(-1, 5, 3), axis=2)
     return SolveReport(

@@ -1,13 +1,14 @@
 """Marginalisation: the information about the frames that stay, held by those that leave.
 
-SPEC 6.1, seeds 003 and 000.3.3.4.  With the factors that touch a leaving block linearised at the current states,
+SPEC 6.1, seeds 003 and 000.3.3.4.  The factors that touch a leaving block, linearised at the current states, are
 
-    [ A_mm  A_mk ] [ d_m ]     [ b_m ]             A = A_kk - A_km A_mm^-1 A_mk
-    [ A_km  A_kk ] [ d_k ] = - [ b_k ]             b = b_k  - A_km A_mm^-1 b_m
+    | J_m d_m + J_k d_k + r |^2          m: what leaves,  k: what is kept
 
-and A = V diag(s) V', the prior is J = diag(sqrt(s)) V', r = diag(1/sqrt(s)) V' b, so that J'J = A and J'r = b.
-Eigenvalues at or below `marginalization.eigen_threshold` carry no information and give zero rows.  Landmarks are
-eliminated first: their part of A_mm is diagonal.
+Rotating the rows so that the first ones triangularise J_m leaves rows |J d_k + r|^2 without d_m: their J'J is the
+Schur complement A_kk - A_km A_mm^-1 A_mk of A = J'J, computed without squaring.  That matters because information
+about biases reaches 1e15: in the squared form its rounding errors invent knowledge of position and yaw.  With
+J = U S V', the prior is S V' and U' r; S^2 are the eigenvalues of its information, and those at or below
+`marginalization.eigen_threshold` count as zero.  Landmarks are eliminated before, their part of A_mm is diagonal.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack, qr, solve_triangular
 
 from ..params import Params
 from ..report import BlockReport, MarginalizationReport
 from ..solver import schur
-from ..solver.linearize import Layout, Linearizer
-from ..solver.problem import Block, WindowProblem
+from ..solver.layout import Block
+from ..solver.linearize import Linearizer
+from ..solver.problem import WindowProblem
 from .assemble import assemble
 from .state import BlockKey, Prior, WindowState
 
@@ -79,34 +81,75 @@ def _marginalize(
     landmark_ids: np.ndarray,
     kind: str,
 ) -> tuple[Prior | None, MarginalizationReport]:
-    linearizer = Linearizer(problem)
-    system = linearizer.linearize(problem.initial)
     touched = _touched(problem)
+    dropped = [b for b in dropped if b in touched]
     kept = [b for b in touched if b not in dropped]
-    threshold = params.marginalization.eigen_threshold
+    linearizer = Linearizer(problem)
+    J, r = _rows(linearizer, problem, params.marginalization.eigen_threshold)
+    m, k = linearizer.layout.columns_of(dropped), linearizer.layout.columns_of(kept)
+    J, r = _eliminate(J[:, m], J[:, k], r)
 
-    S, b = schur.eliminate(system, np.where(system.h > threshold, system.h, 0.0))
-    m = _columns(linearizer.layout, [block for block in dropped if block in touched])
-    k = _columns(linearizer.layout, kept)
-    S_mk = S[np.ix_(m, k)]
-    gain = _solve_information(S[np.ix_(m, m)], np.column_stack([S_mk, b[m]]), threshold)
-    A = S[np.ix_(k, k)] - S_mk.T @ gain[:, :-1]
-    rhs = b[k] - S_mk.T @ gain[:, -1]
-
-    eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
-    informative = eigenvalues > threshold
-    root = np.sqrt(np.where(informative, eigenvalues, 0.0))
-    J = root[:, None] * V.T
-    r = np.divide(V.T @ rhs, root, out=np.zeros(len(k)), where=informative)
+    U, singular, Vt = np.linalg.svd(J)
+    eigenvalues = singular**2
+    informative = eigenvalues > params.marginalization.eigen_threshold
+    J = np.where(informative, singular, 0.0)[:, None] * Vt
+    r = np.where(informative, U.T @ r, 0.0)
 
     frames = [f.frame for f in window.frames]
-    keys = tuple(
-        BlockKey(block.kind, block.slot if block.kind == "extrinsic" else frames[block.slot]) for block in kept
-    )
-    prior = Prior(keys, tuple(block.value(problem.initial).copy() for block in kept), J, r)
+    keys = tuple(BlockKey(b.kind, b.slot if b.kind == "extrinsic" else frames[b.slot]) for b in kept)
+    prior = Prior(keys, tuple(problem.initial.value(b).copy() for b in kept), J, r)
     reports = _reports(frames, dropped, landmark_ids, kept)
     size_m = sum(report.size for report in reports if report.dropped)
-    return prior, MarginalizationReport(kind, size_m, len(k), reports, int(informative.sum()), eigenvalues)
+    return prior, MarginalizationReport(kind, size_m, len(k), reports, int(informative.sum()), eigenvalues[::-1])
+
+
+def _rows(linearizer: Linearizer, problem: WindowProblem, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+    """J (rows, D) and r (rows,) of the prior, the IMU factor, and what the landmarks leave."""
+    states, size = problem.initial, linearizer.layout.size
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    if linearizer.prior:
+        parts.append((*linearizer.prior.rows(states), linearizer.prior.columns[0]))
+    if linearizer.inertial:
+        r, J = linearizer.inertial.rows(states)
+        parts += [(r[0], J[0], linearizer.inertial.columns[0])]
+    if linearizer.visual:
+        seen = Linearizer(replace(problem, imu=(), prior=None)).linearize(states)
+        S, b = schur.eliminate(seen, np.where(seen.h > threshold, seen.h, 0.0))
+        P = linearizer.layout.visual
+        parts.append((*_square_root(S[:P, :P], b[:P]), np.arange(P)))
+    J = np.zeros((sum(len(r) for r, _, _ in parts), size))
+    row = 0
+    for r, J_part, columns in parts:
+        J[row : row + len(r), columns] = J_part
+        row += len(r)
+    return J, np.concatenate([r for r, _, _ in parts])
+
+
+def _square_root(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(r, J) with J'J = A and J'r = b, for a positive semi-definite A, by Cholesky with pivoting."""
+    L, pivot, rank, _ = lapack.dpstrf(A, lower=1)
+    pivot = pivot[:rank] - 1, np.append(pivot[:rank], pivot[rank:]) - 1
+    J = np.zeros((rank, len(A)))
+    J[:, pivot[1]] = np.tril(L)[:, :rank].T
+    r = solve_triangular(L[:rank, :rank], b[pivot[0]], lower=True, check_finite=False)
+    return r, J
+
+
+def _eliminate(J_m: np.ndarray, J_k: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rows (at most as many as columns) that remain for d_k once d_m is free to be anything.
+
+    Multiplying by Q' of J_m = Q R separates the rows that determine d_m from those without it.  Columns are scaled
+    to one, so that the rank does not depend on units.
+    """
+    norms = np.linalg.norm(J_m, axis=0)
+    Q, R, _ = qr(J_m / np.where(norms > 0, norms, 1.0), pivoting=True, check_finite=False)
+    rank = int(np.sum(np.abs(R.diagonal()) > 1e-12))
+    rest = Q[:, rank:].T @ np.column_stack([J_k, r])
+    n = J_k.shape[1]
+    (R,) = qr(rest, mode="r", check_finite=False)
+    square = np.zeros((n, n + 1))
+    square[: min(n, len(R))] = R[:n]
+    return square[:, :n], square[:, n]
 
 
 def _touched(problem: WindowProblem) -> list[Block]:
@@ -120,26 +163,6 @@ def _touched(problem: WindowProblem) -> list[Block]:
         touched.add(Block("extrinsic", table.camera))
     order = ("pose", "speed_bias", "extrinsic")
     return sorted(touched, key=lambda block: (order.index(block.kind), block.slot))
-
-
-def _columns(layout: Layout, blocks: list[Block]) -> np.ndarray:
-    return np.concatenate([np.zeros(0, np.int64), *(layout.columns(block) for block in blocks)])
-
-
-def _solve_information(A: np.ndarray, B: np.ndarray, threshold: float) -> np.ndarray:
-    """A^-1 B for an information matrix whose units differ by many orders: scaled to a unit diagonal first.
-
-    Directions without information are left out, as by a pseudo-inverse.
-    """
-    scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), 1e-300))
-    scaled, B = A * scale[:, None] * scale, B * scale[:, None]
-    try:
-        solved = cho_solve(cho_factor(scaled, check_finite=False), B, check_finite=False)
-    except np.linalg.LinAlgError:
-        s, V = np.linalg.eigh(scaled)
-        inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > max(threshold, 1e-14))
-        solved = V @ (inverse[:, None] * (V.T @ B))
-    return solved * scale[:, None]
 
 
 def _reports(

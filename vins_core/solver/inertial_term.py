@@ -1,0 +1,43 @@
+"""All IMU factors of a window, linearised together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..factors import imu
+from .layout import Layout
+from .problem import States, WindowProblem
+
+
+class InertialTerm:
+    def __init__(self, problem: WindowProblem, layout: Layout):
+        slots, motions = zip(*problem.imu)
+        self._first = first = np.array(slots)
+        self._batch = imu.IMU.batch(len(motions), imu.ACTIVE, backend="vm")
+        imu.measurement(motions, problem.gravity_m_s2, out=self._batch.data.T)
+        self._whitening = np.stack([motion.whitening for motion in motions])
+        blocks = [layout.columns(kind, k) for k in (first, first + 1) for kind in ("pose", "speed_bias")]
+        self.columns = np.concatenate(blocks, 1)  # (K, 30)
+
+    def rows(self, states: States) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened residuals (K, 15) and Jacobians (K, 15, 30)."""
+        batch, first = self._batch, self._first
+        batch.inputs[0].T[:] = states.poses[first]
+        batch.inputs[1].T[:] = states.speed_biases[first]
+        batch.inputs[2].T[:] = states.poses[first + 1]
+        batch.inputs[3].T[:] = states.speed_biases[first + 1]
+        batch.evaluate()
+        whitened = self._whitening @ batch.system.transpose(2, 1, 0)
+        return whitened[:, :, -1], whitened[:, :, :-1]
+
+    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> float:
+        """Fills J'J (K, 30, 30) and J'r (K, 30) of every factor; returns the cost."""
+        r, J = self.rows(states)
+        J_t = J.transpose(0, 2, 1)
+        np.matmul(J_t, J, JtJ)
+        np.matmul(J_t, r[:, :, None], Jtr[:, :, None])
+        return 0.5 * float(np.vdot(r, r))
+
+    def residuals(self, states: States) -> np.ndarray:
+        """(K, 15) whitened."""
+        return self.rows(states)[0]

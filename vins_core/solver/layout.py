@@ -1,0 +1,53 @@
+"""Where the variables of the cameras are among the columns of the normal equations.
+
+Poses come first, 6 columns each, then extrinsics, 6 each if they are free, then speed-biases, 9 each: what a
+projection touches is one leading part of every matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Block:
+    """One variable of the cameras: `pose` or `speed_bias` of a slot, `extrinsic` of a camera."""
+
+    kind: str  # "pose" | "speed_bias" | "extrinsic"
+    slot: int
+
+    @property
+    def size(self) -> int:
+        """Dimension of the tangent space."""
+        return 9 if self.kind == "speed_bias" else 6
+
+
+@dataclass(frozen=True)
+class Layout:
+    n_frames: int
+    n_extrinsics: int  # free ones; 0 when they are held
+
+    @property
+    def visual(self) -> int:
+        """P: the columns that projections touch."""
+        return 6 * (self.n_frames + self.n_extrinsics)
+
+    @property
+    def size(self) -> int:
+        """D: all columns."""
+        return self.visual + 9 * self.n_frames
+
+    def is_free(self, block: Block) -> bool:
+        return block.kind != "extrinsic" or block.slot < self.n_extrinsics
+
+    def columns(self, kind: str, slots: np.ndarray | list[int]) -> np.ndarray:
+        """(k, 6 or 9): the columns of a kind of block in each of k slots."""
+        start = {"pose": 0, "extrinsic": 6 * self.n_frames, "speed_bias": self.visual}[kind]
+        size = Block(kind, 0).size
+        return start + size * np.asarray(slots)[:, None] + np.arange(size)
+
+    def columns_of(self, blocks: list[Block]) -> np.ndarray:
+        """The columns of several blocks, one after the other."""
+        return np.concatenate([np.zeros(0, np.int64), *(self.columns(b.kind, [b.slot])[0] for b in blocks)])

@@ -1,0 +1,54 @@
+"""The prior of marginalised frames, linearised at the current states."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..factors import prior
+from .layout import Layout
+from .problem import PriorFactor, States
+
+
+class PriorTerm:
+    def __init__(self, factor: PriorFactor, layout: Layout):
+        self._factor = factor
+        blocks = factor.blocks
+        starts = np.cumsum([0] + [b.size for b in blocks])
+        poses = [k for k, b in enumerate(blocks) if b.kind != "speed_bias"]
+        speeds = [k for k, b in enumerate(blocks) if b.kind == "speed_bias"]
+        # rows of the table (poses, extrinsics), and of the speed-biases
+        self._pose_rows = [
+            b.slot + (layout.n_frames if b.kind == "extrinsic" else 0) for b in (blocks[k] for k in poses)
+        ]
+        self._speed_rows = [blocks[k].slot for k in speeds]
+        self._x0_poses = np.array([factor.x0[k] for k in poses]).reshape(-1, 7)
+        self._x0_speeds = np.array([factor.x0[k] for k in speeds]).reshape(-1, 9)
+        self._pose_columns = starts[poses][:, None] + np.arange(6)
+        self._speed_columns = starts[speeds][:, None] + np.arange(9)
+        self._J_theta = factor.J[:, self._pose_columns[:, 3:]].transpose(1, 0, 2)  # (poses, n, 3)
+
+        free = [layout.is_free(b) for b in blocks]
+        self._free = np.flatnonzero(np.repeat(free, [b.size for b in blocks]))
+        self.columns = layout.columns_of([b for b in blocks if layout.is_free(b)])[None]  # (1, free)
+
+    def rows(self, states: States) -> tuple[np.ndarray, np.ndarray]:
+        """Residual (n,) and its Jacobian in the free columns (n, free)."""
+        J0 = self._factor.J
+        poses = np.concatenate([states.poses, states.extrinsics])[self._pose_rows]
+        d = prior.difference_poses(poses, self._x0_poses)
+        dx = np.empty(J0.shape[1])
+        dx[self._pose_columns] = d
+        dx[self._speed_columns] = states.speed_biases[self._speed_rows] - self._x0_speeds
+        J = J0.copy()
+        J[:, self._pose_columns[:, 3:]] = (self._J_theta @ prior.inverse_right_jacobian(d[:, 3:])).transpose(1, 0, 2)
+        return self._factor.r + J0 @ dx, J[:, self._free]
+
+    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> float:
+        """Fills J'J (1, n, n) and J'r (1, n); returns the cost."""
+        r, J = self.rows(states)
+        np.matmul(J.T, J, JtJ[0])
+        np.matmul(r, J, Jtr[0])
+        return 0.5 * float(r @ r)
+
+    def residuals(self, states: States) -> np.ndarray:
+        return self.rows(states)[0]

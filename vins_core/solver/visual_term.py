@@ -1,0 +1,103 @@
+"""All projections of a window, linearised together.
+
+Projections are sorted by (anchor, observer).  Within such a pair every row of J has the same camera columns, so the
+pair adds one small J'J to H: for 1300 projections of 11 frames some fifty products of 12 x 12 instead of one of
+66 x 66 whose rows are mostly zero.  Landmark sums run over the rows of each landmark.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..factors import reprojection
+from ..factors.factor import Batch
+from .layout import Layout
+from .problem import States, WindowProblem
+
+
+class VisualTerm:
+    """The index structure of one problem's projections."""
+
+    def __init__(self, problem: WindowProblem, layout: Layout):
+        self._problem = problem
+        order = np.lexsort((problem.projections.observer, problem.projections.anchor))
+        self._order = order
+        self.table = table = problem.projections[order]
+        n = len(table)
+        extrinsic = ("extrinsic",) if layout.n_extrinsics else ()
+        self._batch = self._fill_data(("pose_i", "pose_j", *extrinsic, "inv_depth"))
+        self._system = self._batch.system  # (c + 2, 2, N): camera columns, inverse depth, residual
+
+        new_pair = np.diff(table.anchor * layout.n_frames + table.observer, prepend=-1) != 0
+        first = np.flatnonzero(new_pair)
+        length = np.diff(first, append=n)
+        pair = np.repeat(np.arange(len(first)), length)  # of each factor
+        blocks = [layout.columns("pose", table.anchor[first]), layout.columns("pose", table.observer[first])]
+        if layout.n_extrinsics:
+            blocks.append(layout.columns("extrinsic", np.full(len(first), table.camera)))
+        self.columns = np.concatenate(blocks, 1)  # (pairs, c)
+
+        # both rows of every factor of a pair side by side: the lanes of the pair's product
+        c = self.columns.shape[1]
+        self._lanes = np.empty(2 * n, np.int64)
+        self._lanes[first[pair] + np.arange(n)] = np.arange(n)
+        self._lanes[(first + length)[pair] + np.arange(n)] = n + np.arange(n)
+        self._packed = np.empty((c + 1, 2 * n))
+        self._products = np.empty((len(first), c + 1, c + 1))
+        ends = zip((2 * first).tolist(), (2 * (first + length)).tolist())
+        views = (self._packed[:, a:b] for a, b in ends)
+        self._pairs = [(rows, rows.T, out) for rows, out in zip(views, self._products)]
+
+        self._in_W = table.landmark * layout.visual + self.columns.T[:, pair]  # (c, N)
+        self._W_shape = (problem.n_landmarks, layout.visual)
+
+    def _fill_data(self, active: tuple[str, ...]) -> Batch:
+        problem, table = self._problem, self.table
+        factor = reprojection.FACTORS[problem.residual]
+        batch = factor.batch(len(table), active, uniform=("extrinsic",))
+        batch.data[:] = reprojection.measurement(problem.residual, table.rays_i, table.rays_j, problem.sqrt_info)
+        return batch
+
+    def _evaluate(self, batch: Batch, states: States) -> None:
+        table = self.table
+        poses = np.ascontiguousarray(states.poses.T)
+        poses.take(table.anchor, 1, batch.inputs[0], "clip")
+        poses.take(table.observer, 1, batch.inputs[1], "clip")
+        batch.inputs[2][:] = states.extrinsics[table.camera]
+        states.inv_depths.take(table.landmark, 0, batch.inputs[3][0], "clip")
+        batch.evaluate()
+
+    def linearize(
+        self, states: States, JtJ: np.ndarray, Jtr: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """Fills J'J and J'r of every pair, (pairs, c, c) and (pairs, c); returns cost, W, h and g_l."""
+        self._evaluate(self._batch, states)
+        loss, system = self._problem.loss, self._system
+        r = system[-1]
+        s = r[0] * r[0] + r[1] * r[1]
+        system *= loss.weight(s)
+
+        c = len(system) - 2
+        camera, depth, packed = system[:c], system[c], self._packed
+        camera.reshape(c, -1).take(self._lanes, 1, packed[:c], "clip")
+        r.reshape(-1).take(self._lanes, 0, packed[c], "clip")
+        for rows, rows_t, out in self._pairs:
+            np.dot(rows, rows_t, out)
+        JtJ[:] = self._products[:, :c, :c]
+        Jtr[:] = self._products[:, c, :c]
+
+        m, P = self._W_shape
+        landmark = self.table.landmark
+        coupling = camera[:, 0] * depth[0] + camera[:, 1] * depth[1]
+        W = np.bincount(self._in_W.reshape(-1), coupling.reshape(-1), m * P).reshape(m, P)
+        h = np.bincount(landmark, depth[0] * depth[0] + depth[1] * depth[1], m)
+        g_l = np.bincount(landmark, depth[0] * r[0] + depth[1] * r[1], m)
+        return 0.5 * float(loss.rho(s).sum()), W, h, g_l
+
+    def residuals(self, states: States) -> np.ndarray:
+        """(2, N) whitened, before the robust loss, in the order of the problem's table."""
+        batch = self._fill_data(())
+        self._evaluate(batch, states)
+        out = np.empty((2, len(self.table)))
+        out[:, self._order] = batch.r
+        return out
