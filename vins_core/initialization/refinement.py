@@ -151,9 +151,9 @@ class _Inertial:
 
     def __init__(self, imu: Sequence[Preintegration], gravity_m_s2: float, acc_bias_sigma: float):
         self._batch = imu_factor.IMU.batch(len(imu), imu_factor.ACTIVE, backend="vm")
-        self._batch.data[:] = imu_factor.measurement(imu, gravity_m_s2)
+        imu_factor.measurement(imu, gravity_m_s2, out=self._batch.data.T)
         # the random walk of the biases is left out: rows p, q, v of the triangular whitening stand on their own
-        self._whitening = np.array([imu_factor.whitening(p)[:9, :9] for p in imu])
+        self._whitening = np.stack([p.whitening[:9, :9] for p in imu])
         self._acc_bias_information = 1.0 / acc_bias_sigma**2
 
     def add(self, e: NormalEquations, m: Motion) -> NormalEquations:
@@ -181,16 +181,14 @@ class _Inertial:
 
     def _linearize(self, m: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Whitened residuals (K - 1, 9) and Jacobians (K - 1, 9, 30)."""
-        poses = np.concatenate([m.structure.p, so3.from_matrix(m.structure.R)], axis=1).T
-        biases = np.broadcast_to(np.concatenate([m.b_a, m.b_g])[:, None], (6, len(m.v)))
-        speed_biases = np.concatenate([m.v.T, biases])
-        pose_i, speed_bias_i, pose_j, speed_bias_j = self._batch.inputs
-        pose_i[:], speed_bias_i[:] = poses[:, :-1], speed_biases[:, :-1]
-        pose_j[:], speed_bias_j[:] = poses[:, 1:], speed_biases[:, 1:]
+        poses = np.hstack([m.structure.p, so3.from_matrix(m.structure.R)])
+        biases = np.tile(np.concatenate([m.b_a, m.b_g]), (len(m.v), 1))
+        speed_biases = np.hstack([m.v, biases])
+        for k, values in enumerate((poses[:-1], speed_biases[:-1], poses[1:], speed_biases[1:])):
+            self._batch.inputs[k].T[:] = values
         self._batch.evaluate()
-        r = np.einsum("kij,jk->ki", self._whitening, self._batch.r[:9])
-        J = np.einsum("kij,cjk->kic", self._whitening, self._batch.J[:, :9])
-        return r, J
+        whitened = self._whitening @ self._batch.system[:, :9].transpose(2, 1, 0)
+        return whitened[:, :, -1], whitened[:, :, :-1]
 
 
 def _scale_sigma(p: np.ndarray, covariance: np.ndarray) -> float:
