@@ -325,8 +325,8 @@ def test_killing_the_writer_loses_no_frame_it_had_finished(tmp_path: Path, frame
         "    writer.append(*frame)\n"
         "    print(len(writer), flush=True)\n"
     )
-    here = str(Path(samples.__file__).parent)
-    child = subprocess.Popen([sys.executable, "-c", code, here, str(tmp_path / "run")], stdout=subprocess.PIPE)
+    support = str(Path(samples.__file__).parent)
+    child = subprocess.Popen([sys.executable, "-c", code, support, str(tmp_path / "run")], stdout=subprocess.PIPE)
     assert child.stdout is not None
     told = [int(child.stdout.readline()) for _ in range(20)]
     child.send_signal(signal.SIGKILL)

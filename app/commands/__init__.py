@@ -1,0 +1,27 @@
+"""The commands of `vinspect`, a file each: signatures are the command line, heavy imports wait until one runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from .convert import convert
+from .eval import evaluate
+from .export import export
+from .info import info
+from .open import open_page
+from .run import run
+from .simulate import simulate
+
+COMMANDS: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {
+        "open": open_page,
+        "run": run,
+        "info": info,
+        "eval": evaluate,
+        "export": export,
+        "convert": convert,
+        "simulate": simulate,
+    }
+)

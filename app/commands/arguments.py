@@ -1,0 +1,45 @@
+"""Arguments that several commands share, and the parameters that `--set` takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from vins_core.params import DECLARATIONS, Declaration
+
+Recording = Positional[
+    Annotated[Path, arg(metavar="RECORDING", help="ROS 1 .bag, ROS 2 bag (folder, .db3, .mcap) or EuRoC folder")]
+]
+Run = Positional[Annotated[Path, arg(metavar="RUN", help="folder written by `vinspect run`")]]
+Calibrations = Annotated[
+    UseAppendAction[tuple[Path, ...]],
+    arg(
+        metavar="FILE",
+        help="calibration: VINS, Kalibr (two files), EuRoC or vinspect YAML; an EuRoC folder brings its own",
+    ),
+]
+Json = Annotated[bool, arg(help="print JSON")]
+Format = Annotated[Literal["asl", "ros1", "ros2", "mcap"], arg(help="EuRoC folder, .bag, sqlite3 bag or mcap bag")]
+
+
+def describe(declared: Declaration) -> str:
+    """A parameter on one line: `window.size = 10 (4 to 20): keyframes in the window beside the newest frame`."""
+    span = " | ".join(declared.choices)
+    if declared.low is not None:
+        span = f"{declared.low:g} to {declared.high:g}{' ' + declared.unit if declared.unit else ''}"
+    default = str(declared.default).lower() if declared.type is bool else declared.default
+    return f"{declared.key} = {default}{f' ({span})' if span else ''}: {declared.doc}"
+
+
+Settings = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(
+        name="set",
+        metavar="SECTION.NAME=VALUE",
+        help="a parameter, winning over the calibration file's; with their defaults these are:\n"
+        + "\n".join(describe(d) for d in DECLARATIONS.values())
+        + "\n",
+    ),
+]

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from .arguments import Json, Recording
+from .console import print_json, progress_bar
+
+if TYPE_CHECKING:
+    from vins_core.io.inspect import RecordingInfo
+
+SHOWN = 20
+"""Anomalies printed; JSON has more."""
+PIPED_WIDTH = 200
+
+
+def info(recording: Recording, /, json: Json = False) -> None:
+    """Show what is in a recording: topics, rates, gaps, anomalies."""
+    from vins_core.io.inspect import inspect
+    from vins_core.io.recording import open_recording
+    from vins_core.record.header import cpu_model, package_versions
+    from vins_core.runner import BACKEND
+
+    with open_recording(recording) as source, progress_bar(f"reading {recording.name}") as report:
+        found = inspect(source, report)
+    if json:
+        print_json(found.to_dict() | {"backend": BACKEND, "cpu": cpu_model(), "versions": package_versions()})
+    else:
+        _print(found, f"{BACKEND} on {cpu_model()}")
+
+
+def _print(found: RecordingInfo, backend: str) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=PIPED_WIDTH)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for title in ("topic", "type", "role"):
+        table.add_column(title)
+    for title in ("messages", "Hz", "seconds", "longest gap s"):
+        table.add_column(title, justify="right")
+    table.add_column("image")
+    for s in found.streams:
+        length = (s.last_ns - s.first_ns) * 1e-9 if s.first_ns is not None and s.last_ns is not None else None
+        numbers = (_number(s.rate_hz, 2), _number(length, 3), _number(s.longest_gap_s, 4))
+        table.add_row(escape(s.topic), escape(s.type), s.role, str(s.count), *numbers, escape(s.image))
+    console.print(f"{escape(found.path)}: {found.kind}, {found.duration_s:.3f} s", highlight=False, soft_wrap=True)
+    console.print(table)
+    total = sum(found.counts.values())
+    summary = ", ".join(f"{count} {kind}" for kind, count in sorted(found.counts.items()))
+    console.print(f"{total} anomalies{': ' + summary if total else ''}", highlight=False)
+    for anomaly in found.anomalies[:SHOWN]:
+        console.print(f"  {anomaly.kind}: {escape(anomaly.message)}", highlight=False, soft_wrap=True)
+    if total > SHOWN:
+        console.print(f"  and {total - SHOWN} more; see --json", highlight=False)
+    console.print(f"back end: {backend}", highlight=False)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
