@@ -15,6 +15,8 @@ from vins_core.errors import ParameterError
 from .places import shipped
 
 SCHEMA = "vinspect/layout@1"
+CAMERA_CHROME_PX = 145
+"""Height of what stands above and below the image in the camera's panel."""
 MAX_BYTES = 256 * 1024
 
 
@@ -82,20 +84,36 @@ def shipped_layouts() -> list[Layout]:
     return sorted((read_layout(p) for p in sorted(shipped("layouts").glob("*.json"))), key=lambda layout: layout.hotkey)
 
 
-def canvas_width(layout: Layout, page_width: int) -> int:
-    """Width left for the 3D view between the docked panels."""
-    return page_width - sum(round(p.width * page_width) for p in layout.panels.values() if p.dock)
+def place(
+    layout: Layout, page: tuple[int, int], image_aspect: float = 1.5, canvas: int | None = None
+) -> dict[str, Placement]:
+    """Pixels of every panel that has some of its own.
 
-
-def place(layout: Layout, page_width: int, canvas: int | None = None) -> dict[str, Placement]:
-    """Pixels of every panel that has some of its own; `canvas` is the 3D view's width where it is known."""
-    if canvas is None:
-        canvas = canvas_width(layout, page_width)
-    placed = {}
+    `page` is its (width, height); a docked panel is not made so wide that the camera's image would not fit above
+    what is stacked below it.  `canvas` is the 3D view's width where the page has told it.
+    """
+    docked = _docked_widths(layout, page, image_aspect)
+    placed = {name: Placement(width) for name, width in docked.items()}
+    canvas = canvas_width(layout, page, image_aspect) if canvas is None else canvas
     for name, panel in layout.panels.items():
-        if panel.dock:
-            placed[name] = Placement(round(panel.width * page_width))
-        elif panel.floating:
-            gaps = panel.floating
+        if gaps := panel.floating:
             placed[name] = Placement(max(canvas - gaps.left - gaps.right, 260), gaps.left, -gaps.bottom)
     return placed
+
+
+def canvas_width(layout: Layout, page: tuple[int, int], image_aspect: float = 1.5) -> int:
+    """Width left for the 3D view between the docked panels, px."""
+    return page[0] - sum(_docked_widths(layout, page, image_aspect).values())
+
+
+def _docked_widths(layout: Layout, page: tuple[int, int], image_aspect: float) -> dict[str, int]:
+    widths = {}
+    for name, panel in layout.panels.items():
+        if not panel.dock:
+            continue
+        widths[name] = round(panel.width * page[0])
+        if "camera" in panel.tabs:
+            stacked = 1 + sum(other.below == name for other in layout.panels.values())
+            fits = round((page[1] / stacked - CAMERA_CHROME_PX) * image_aspect)
+            widths[name] = min(widths[name], max(fits, 320))
+    return widths

@@ -21,7 +21,7 @@ from vins_core.sensors import ImageRef
 from .browser import Bridge, Event, GoTo, Knob, Page, Pick, Play, Seek, Step
 from .context import PanelContext, RunView, Selection
 from .html import tag
-from .layout import Layout, canvas_width, place
+from .layout import Layout, Placement, canvas_width, place
 from .panel_view import PANELS, PanelView
 from .runs import OpenRun
 from .scene.frame import SceneFrame, scene_unit
@@ -53,7 +53,8 @@ class Session:
         self._panels: dict[str, PanelView] = {}
         self._windows: dict[str, viser.PanelHandle] = {}
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
-        self._page_width, self._canvas = int(client.camera.image_width), 0
+        self._page = int(client.camera.image_width), int(client.camera.image_height)
+        self._canvas = 0
         self.scene = SceneView(client)
         self._build()
         self._task = asyncio.get_running_loop().create_task(self._loop())
@@ -183,6 +184,7 @@ class Session:
             self.following = layout.camera == "follow"
             set_value(self._follow_box, self.following)
             set_value(self._layout_menu, layout.title)
+        self._fitted = 0
         self.refresh()
 
     def _add_tab(self, window: viser.PanelHandle, key: str) -> None:
@@ -209,23 +211,35 @@ class Session:
 
     def _place(self) -> None:
         """Put every panel where the layout says, as wide as the page allows."""
-        for name, at in place(self.layout, self._page_width).items():
+        self._canvas = canvas_width(self.layout, self._page, self._image_aspect)
+        for name, at in self._placements().items():
             spec, window = self.layout.panels[name], self._windows[name]
             if spec.dock:
                 window.dock_left() if spec.dock == "left" else window.dock_right()
                 window.set_width(at.width)
+            else:
+                window.float(x=at.x, y=at.y, width=at.width)
         for name, spec in self.layout.panels.items():
             if spec.below:
                 self._windows[name].dock_below(self._windows[spec.below])
-        self._place_floats(canvas_width(self.layout, self._page_width))
 
-    def _place_floats(self, canvas: int) -> None:
-        if canvas == self._canvas:
-            return
-        self._canvas = canvas
-        for name, at in place(self.layout, self._page_width, canvas).items():
-            if self.layout.panels[name].floating:
-                self._windows[name].float(x=at.x, y=at.y, width=at.width)
+    def _follow_canvas(self, canvas: int) -> None:
+        """Keep floating panels as wide as the 3D view, which the user may have made wider or narrower."""
+        if canvas and canvas != self._canvas:
+            self._canvas = canvas
+            for name, at in self._placements().items():
+                if self.layout.panels[name].floating:
+                    self._windows[name].float(x=at.x, y=at.y, width=at.width)
+
+    def _placements(self) -> dict[str, Placement]:
+        return place(self.layout, self._page, self._image_aspect, self._canvas)
+
+    @property
+    def _image_aspect(self) -> float:
+        if self._run is None:
+            return 1.5
+        model = self._run.header.calibration.cameras[0].model
+        return model.width / model.height
 
     def _on_event(self, event: Event) -> None:
         match event:
@@ -241,12 +255,12 @@ class Session:
                 self.select(Selection(kind, i) if i >= 0 else Selection())
             case Knob(key):
                 self._explain(key)
-            case Page(panels, width, _, canvas):
-                if width != self._page_width:
-                    self._page_width, self._canvas = width, 0
+            case Page(panels, width, height, canvas):
+                if (width, height) != self._page:
+                    self._page = width, height
                     self._place()
-                elif canvas:
-                    self._place_floats(canvas)
+                else:
+                    self._follow_canvas(canvas)
                 if set(panels) != self._visible:
                     self._visible = set(panels)
                     self.refresh()
@@ -343,7 +357,7 @@ class Session:
         solved = int(np.isfinite(frame.series.p_w_b[:, 0]).sum())
         if not self.following and (self._fitted == 0 or (self.live and solved > 1.5 * self._fitted)):
             self._fitted = solved
-            self.scene.fit(frame)
+            self.scene.fit(frame, aspect=self._canvas / self._page[1])
 
     def _show_progress(self) -> None:
         growing, share = self.opened.growing, self.opened.progress

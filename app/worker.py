@@ -27,9 +27,12 @@ Estimate = Callable[[Path, Sequence[Path], Path, Callable[[], bool]], None]
 
 
 def run_estimator(recording: Path, calib: Sequence[Path], out: Path, cancelled: Callable[[], bool]) -> None:
+    import cv2
+
     from vins_core.runner import run_recording
 
-    run_recording(recording, calib=list(calib), out=out, cancelled=cancelled)
+    cv2.setNumThreads(1)
+    run_recording(recording, calib, out=out, cancelled=cancelled)
 
 
 class Job:
@@ -84,6 +87,7 @@ def _work(
     estimate: Estimate, recording: Path, calib: Sequence[Path], out: Path, flag: Event, sender: Connection
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal reaches the server, which cancels us
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported; see app.__main__
     try:
         estimate(recording, calib, out, flag.is_set)
     except VinspectError as problem:

@@ -13,9 +13,9 @@ from .nodes import Points, PointShape
 
 PASSED = (91, 58, 120)  # the prior's purple, darker: landmarks that left the window recede
 STYLES: dict[LandmarkStatus, tuple[PointShape, tuple[int, int, int], float]] = {
-    LandmarkStatus.CANDIDATE: ("diamond", palette.rgb(palette.CANDIDATE), 0.013),
-    LandmarkStatus.TRIANGULATED: ("circle", palette.rgb(palette.ESTIMATE), 0.011),
-    LandmarkStatus.OUTLIER: ("sparkle", palette.rgb(palette.BAD), 0.022),
+    LandmarkStatus.CANDIDATE: ("diamond", palette.rgb(palette.CANDIDATE), 0.012),
+    LandmarkStatus.TRIANGULATED: ("circle", palette.rgb(palette.ESTIMATE), 0.0095),
+    LandmarkStatus.OUTLIER: ("sparkle", palette.rgb(palette.BAD), 0.02),
     LandmarkStatus.MARGINALIZED: ("square", PASSED, 0.0065),
 }
 """Shape, colour, and size as a share of the scene's unit."""

@@ -13,29 +13,36 @@ PointShape = Literal["square", "diamond", "circle", "rounded", "sparkle"]
 class Segments:
     """Line segments of one thickness in screen px.  Without segments the node is hidden."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, colour: tuple[int, int, int], thickness: float) -> None:
-        self._colour = np.array(colour, np.uint8)
+    def __init__(self, scene: viser.SceneApi, name: str, colour: tuple[int, int, int] | None, thickness: float) -> None:
+        """`colour` None: every update brings a colour for each segment (viser cannot change between the two)."""
         self._on, self._any = True, False
+        first = np.zeros((1, 2, 3), np.uint8) if colour is None else np.array(colour, np.uint8)
         self._node = scene.add_line_segments(
-            name, np.zeros((1, 2, 3)), self._colour, thickness=thickness, thickness_units="screen", visible=False
+            name, np.zeros((1, 2, 3)), first, thickness=thickness, thickness_units="screen", visible=False
         )
 
     def update(self, segments: np.ndarray, colours: np.ndarray | None = None) -> None:
-        """(n, 2, 3) segments, with (n, 3) uint8 colours or the node's own."""
+        """(n, 2, 3) segments, and (n, 3) uint8 colours if the node has none of its own."""
         segments = np.ascontiguousarray(segments, np.float32)
         self._any = len(segments) > 0
-        if self._any:
-            shades = self._colour if colours is None else np.repeat(colours[:, None], 2, 1)
-            if not np.array_equal(self._node.points, segments):
-                self._node.points = segments
-            if not np.array_equal(self._node.colors, shades):
-                self._node.colors = shades
+        if self._any and not np.array_equal(self._node.points, segments):
+            self._node.points = segments
+        if self._any and colours is not None:
+            ends = np.repeat(_linear(colours)[:, None], 2, 1)
+            if not np.array_equal(self._node.colors, ends):
+                self._node.colors = ends
         self.show(self._on)
 
     def show(self, on: bool) -> None:
         self._on = on
         if self._node.visible != (on and self._any):
             self._node.visible = on and self._any
+
+
+def _linear(colours: np.ndarray) -> np.ndarray:
+    """sRGB -> linear light, uint8: viser takes the colours of single segments as linear, all others as sRGB."""
+    c = colours / 255.0
+    return np.round(255 * np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)).astype(np.uint8)
 
 
 class Points:

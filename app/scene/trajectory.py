@@ -10,6 +10,7 @@ from .frame import SceneFrame
 from .nodes import Segments
 
 MAX_SEGMENTS = 1500
+DASH_UNITS = 0.05
 FUTURE = (45, 91, 118)
 
 
@@ -19,7 +20,7 @@ class TrajectoryLayer:
     def __init__(self, scene: viser.SceneApi) -> None:
         self._future = Segments(scene, "/trajectory/future", FUTURE, 1.4)
         self._past = Segments(scene, "/trajectory/past", palette.rgb(palette.ESTIMATE), 2.6)
-        self._truth = Segments(scene, "/trajectory/truth", palette.rgb(palette.TRUTH), 1.6)
+        self._truth = Segments(scene, "/trajectory/truth", palette.rgb(palette.TRUTH), 1.4)
         self._truth_of = -1  # frames when the truth was last drawn
 
     def update(self, frame: SceneFrame) -> None:
@@ -28,7 +29,7 @@ class TrajectoryLayer:
         self._future.update(polyline(p[frame.frame :]))
         if self._truth_of != len(p):
             self._truth_of = len(p)
-            self._truth.update(dashes(frame.series.truth_p))
+            self._truth.update(dashes(frame.series.truth_p, DASH_UNITS * frame.unit_m))
 
     def show(self, toggle: str, on: bool) -> None:
         for node in (self._truth,) if toggle == "trajectory.truth" else (self._past, self._future):
@@ -45,15 +46,16 @@ def polyline(points: np.ndarray, most: int = MAX_SEGMENTS) -> np.ndarray:
     return segments[np.isfinite(segments).all((1, 2))]
 
 
-def dashes(points: np.ndarray, count: int = 60) -> np.ndarray:
-    """(n, 3) -> segments of a dashed line of about `count` dashes of equal length, by arc length."""
+def dashes(points: np.ndarray, dash_m: float) -> np.ndarray:
+    """(n, 3) -> (m, 2, 3) segments of a dashed line whose dashes and gaps are about `dash_m` long."""
     points = points[np.isfinite(points).all(1)]
     if len(points) < 2:
         return np.zeros((0, 2, 3))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     if along[-1] == 0:
         return np.zeros((0, 2, 3))
-    per_dash = 6
+    per_dash = 4
+    count = int(np.clip(along[-1] / (2 * dash_m), 6, MAX_SEGMENTS / per_dash))
     at = np.linspace(0, along[-1], 2 * count * per_dash + 1)
     fine = np.stack([np.interp(at, along, points[:, k]) for k in range(3)], 1)
     segments = np.stack([fine[:-1], fine[1:]], 1)

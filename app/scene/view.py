@@ -39,10 +39,10 @@ class SceneView:
             self._on[toggle] = on
             next(layer for layer in self._layers if toggle in layer.toggles).show(toggle, on)
 
-    def fit(self, frame: SceneFrame) -> None:
-        """Look at the whole run from above and aside."""
+    def fit(self, frame: SceneFrame, aspect: float) -> None:
+        """Look at the whole run from above and aside; `aspect` is the view's width over its height."""
         camera = self._client.camera
-        camera.position, camera.look_at = overview(worth_seeing(frame), float(camera.fov), float(camera.aspect))
+        camera.position, camera.look_at = overview(worth_seeing(frame), float(camera.fov), aspect)
 
     def follow(self, frame: SceneFrame) -> None:
         """Look over the newest camera's shoulder."""
@@ -52,17 +52,16 @@ class SceneView:
             camera.position, camera.look_at = shoulder(T_w_c[-1], frame.unit_m)
 
 
-def worth_seeing(frame: SceneFrame) -> np.ndarray:
-    """(n, 3): the trajectory, and the nearer part of the landmarks of the newest frame that has some."""
+def worth_seeing(frame: SceneFrame, looks: int = 4) -> np.ndarray:
+    """(n, 3): the trajectory, and the nearer landmarks of a few frames spread over the run."""
     p = frame.series.p_w_b
     solved = np.flatnonzero(np.isfinite(p[:, 0]))
-    if not len(solved):
-        return np.zeros((0, 3))
-    report = frame.run.report(int(solved[-1]))
-    groups = by_status(report.landmarks)
-    near = groups[LandmarkStatus.TRIANGULATED].astype(float)
-    distance = np.linalg.norm(near - p[solved[-1]], axis=1)
-    return np.concatenate([p[solved], near[distance <= np.percentile(distance, 80)]]) if len(near) else p[solved]
+    parts = [p[solved]]
+    for k in solved[np.linspace(0, len(solved) - 1, looks).astype(int)] if len(solved) else ():
+        xyz = by_status(frame.run.report(int(k)).landmarks)[LandmarkStatus.TRIANGULATED].astype(float)
+        distance = np.linalg.norm(xyz - p[k], axis=1)
+        parts.append(xyz[distance <= np.median(distance)] if len(xyz) else xyz)
+    return np.concatenate(parts)
 
 
 def overview(points: np.ndarray, fov: float, aspect: float) -> tuple[np.ndarray, np.ndarray]:

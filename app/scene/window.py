@@ -22,7 +22,7 @@ class WindowLayer:
         self._scene = scene
         self._frustums: list[viser.CameraFrustumHandle] = []
         self._newest: viser.CameraFrustumHandle | None = None
-        self._edges = Segments(scene, "/imu/edges", palette.rgb(palette.IMU), 5.0)
+        self._edges = Segments(scene, "/imu/edges", None, 4.0)
         self._on = True
 
     def update(self, frame: SceneFrame) -> None:
@@ -30,7 +30,7 @@ class WindowLayer:
         window = frame.report.window
         self._draw_frustums(frame, T_w_c)
         if window is None or len(T_w_c) < 2:
-            self._edges.update(np.zeros((0, 2, 3)))
+            self._edges.update(np.zeros((0, 2, 3)), np.zeros((0, 3), np.uint8))
             return
         sigma = frame.report.solve.imu_sigma if frame.report.solve else None
         segments = np.stack([window.p_w_b[:-1], window.p_w_b[1:]], 1)
