@@ -96,6 +96,11 @@ def _tape(factor: Factor, active: tuple[str, ...], uniform: tuple[int, ...]) -> 
     return record(_differentiate(factor, active), uniform)
 
 
+@lru_cache(maxsize=64)
+def _mapped(factor: Factor, active: tuple[str, ...], n: int) -> ca.Function:
+    return _differentiate(factor, active).map(n)
+
+
 class Batch:
     """n rows of one factor.  Write `inputs` and `data`, call `evaluate`, read `system`.
 
@@ -147,7 +152,7 @@ class VmBatch(Batch):
         *self.inputs, self.data = (a.T for a in arrays)
         self.system = output.transpose(1, 2, 0)
         buffer: Any  # holds raw pointers into the arrays, which live as long as their views here
-        buffer, self._trigger = f.map(n).buffer()
+        buffer, self._trigger = _mapped(factor, active, n).buffer()
         for k, a in enumerate(arrays):
             buffer.set_arg(k, a.data)
         buffer.set_res(0, output.data)

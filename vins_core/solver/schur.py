@@ -23,7 +23,7 @@ def solve_damped(
     S.reshape(-1)[:: len(S) + 1] += damping_c
     if damping_oldest is not None:
         S[:6, :6] += damping_oldest
-    factor, info = lapack.dpotrf(S, lower=1, clean=0, overwrite_a=1)
+    factor, info = lapack.dpotrf(S.T, lower=1, clean=0, overwrite_a=1)
     if info:
         return None
     dc, _ = lapack.dpotrs(factor, -b, lower=1)
