@@ -46,22 +46,24 @@ class Canvas:
         cv2.putText(self.pixels, words, at, face, size, int(grey), thickness, cv2.LINE_AA)
 
     def mottle(self, rng: np.random.Generator, amplitude: float, grain_m: float) -> None:
-        """Add smooth random shades, e.g. of plaster or paper."""
-        rows, columns = self.pixels.shape
+        """Smooth random shades, e.g. of plaster or paper."""
         cells = (max(2, round(self.height_m / grain_m)), max(2, round(self.width_m / grain_m)))
-        noise = cv2.resize(
-            rng.standard_normal(cells).astype(np.float32), (columns, rows), interpolation=cv2.INTER_CUBIC
+        self.shade(1.0 + rng.standard_normal(cells, np.float32) * (amplitude / 128.0), cv2.INTER_CUBIC)
+
+    def shade(self, light: np.ndarray | float, between: int = cv2.INTER_LINEAR) -> None:
+        """Multiply by a number, or by a field of light over the whole face that may be coarser than the texels."""
+        if np.ndim(light):
+            rows, columns = self.pixels.shape
+            light = cv2.resize(np.asarray(light, np.float32), (columns, rows), interpolation=between)
+        self.pixels = cv2.convertScaleAbs(np.maximum(self.pixels * np.float32(light), 0))
+
+    def grid_m(self, step: int = 8) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates x (1, n) and y (m, 1) for a field of light with one value for every `step` texels."""
+        rows, columns = (side // step for side in self.pixels.shape)
+        return (
+            ((np.arange(columns) + 0.5) / columns * self.width_m)[None],
+            ((np.arange(rows) + 0.5) / rows * self.height_m)[:, None],
         )
-        self.shade(1.0 + noise * amplitude / 128.0)
-
-    def shade(self, factor: np.ndarray) -> None:
-        """Multiply by a field of light that broadcasts to (rows, columns)."""
-        self.pixels = np.clip(self.pixels * factor + 0.5, 0, 255).astype(np.uint8)
-
-    def grid_m(self) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates of the texel centres: x (1, columns) and y (rows, 1)."""
-        rows, columns = self.pixels.shape
-        return (np.arange(columns) + 0.5)[None] / self._scale[0], (np.arange(rows) + 0.5)[:, None] / self._scale[1]
 
     def _fixed(self, points: list[Point] | np.ndarray) -> np.ndarray:
         """OpenCV counts from pixel centres."""

@@ -125,20 +125,24 @@ def _floor(rng: np.random.Generator, width: float, height: float, boxes: list[So
         canvas.rectangle(x, y, w, h, 45)
         canvas.rectangle(x + 0.08, y + 0.08, w - 0.16, h - 0.16, 215)
         posters.quilt(canvas, rng, 0, x + 0.16, y + 0.16, w - 0.32, h - 0.32)
-    right, down = canvas.grid_m()
-    light = np.ones(canvas.pixels.shape)
-    for box in boxes:
-        if box.centre_w_m[2] - box.size_m[2] / 2 > 0.01:
-            continue
-        dx, dy = right - width / 2 - box.centre_w_m[0], height / 2 - down - box.centre_w_m[1]
-        c, s = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
-        gap = np.hypot(
-            np.maximum(np.abs(c * dx + s * dy) - box.size_m[0] / 2, 0),
-            np.maximum(np.abs(c * dy - s * dx) - box.size_m[1] / 2, 0),
-        )
-        light *= 1.0 - 0.55 * np.exp(-gap / 0.15)
-    canvas.shade(light)
+    canvas.shade(_shadows(canvas, boxes))
     return _lit(canvas).pixels
+
+
+def _shadows(floor: Canvas, boxes: list[Solid]) -> np.ndarray:
+    """Darker towards whatever stands on the floor."""
+    right, down = floor.grid_m()
+    x, y = right - floor.width_m / 2, floor.height_m / 2 - down
+    light = np.ones(np.broadcast_shapes(x.shape, y.shape))
+    for box in boxes:
+        if box.centre_w_m[2] > box.size_m[2] / 2 + 0.01:
+            continue
+        dx, dy = x - box.centre_w_m[0], y - box.centre_w_m[1]
+        c, s = np.cos(box.yaw_rad), np.sin(box.yaw_rad)
+        beside_x = np.maximum(np.abs(c * dx + s * dy) - box.size_m[0] / 2, 0)
+        beside_y = np.maximum(np.abs(c * dy - s * dx) - box.size_m[1] / 2, 0)
+        light *= 1.0 - 0.55 * np.exp(-np.hypot(beside_x, beside_y) / 0.15)
+    return light
 
 
 def _ceiling(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
@@ -181,7 +185,7 @@ def _box(
     textures = []
     for canvas, factor in zip([*faces, *lids], light):
         canvas.mottle(rng, 5.0, 0.08)
-        canvas.shade(np.array(factor))
+        canvas.shade(factor)
         textures.append(canvas.pixels)
     return Solid(
         np.array([*centre_m, bottom_m + z / 2]), np.array(size_m), tuple(textures), yaw_rad=float(np.radians(yaw_deg))

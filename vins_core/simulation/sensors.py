@@ -37,11 +37,11 @@ class Imu:
 @dataclass(frozen=True)
 class Exposure:
     rate_hz: float = 10.0
-    noise_grey: float = 1.5  # standard deviation
+    noise_grey: float = 1.2  # standard deviation
     flicker: float = 0.03  # amplitude of the brightness, as a share
     exposure_s: float = 0.0  # motion blur over this time, centred on the stamp
     readout_s: float = 0.0  # rolling shutter: first to last row, centred on the stamp
-    jpeg_quality: int = 80
+    jpeg_quality: int = 75
 
 
 @dataclass(frozen=True)

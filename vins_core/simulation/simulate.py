@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -40,7 +41,10 @@ class Simulation:
     image_t_ns: np.ndarray  # (n,) stamps, after dropouts
     calibration: Calibration  # as the user has it: wrong where the scenario says so
     true_calibration: Calibration
-    renderer: Renderer
+
+    @cached_property
+    def renderer(self) -> Renderer:
+        return Renderer(self.scenario.world(self.seed), self.scenario.rig.camera)
 
     @property
     def settings(self) -> Settings:
@@ -126,7 +130,6 @@ def build(name: str, scenario: Scenario, seed: int = 1, duration_s: float | None
         image_t_ns + T0_NS,
         _calibration(scenario, scenario.believed_td_s, scenario.believed_rotation_error_deg),
         _calibration(scenario, scenario.td_s, (0.0, 0.0, 0.0)),
-        Renderer(scenario.world(seed), scenario.rig.camera),
     )
 
 

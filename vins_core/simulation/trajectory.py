@@ -15,6 +15,7 @@ from ..geometry import so3
 
 KNOT_INTERVAL_S = 0.02
 DEGREE = 5
+MARGIN = 64  # knots beyond both ends, so that the end conditions are not felt
 
 Channels = Callable[[np.ndarray], np.ndarray]
 """Times in seconds (n,) -> (n, 6): x, y, z of the body in metres, then yaw, pitch, roll of `f` in radians."""
@@ -46,8 +47,8 @@ class Motion:
     @staticmethod
     def from_channels(channels: Channels, duration_s: float, q_f_b: np.ndarray) -> Motion:
         """The C^4 spline through `channels` at 50 Hz, valid from 0 to `duration_s`."""
-        count = int(np.ceil(duration_s / KNOT_INTERVAL_S)) + 2 * DEGREE
-        t_s = (np.arange(count) - DEGREE) * KNOT_INTERVAL_S
+        count = int(np.ceil(duration_s / KNOT_INTERVAL_S)) + 2 * MARGIN
+        t_s = (np.arange(count) - MARGIN) * KNOT_INTERVAL_S
         return Motion(make_interp_spline(t_s, channels(t_s), k=DEGREE), q_f_b)
 
     def at(self, t_s: np.ndarray) -> Kinematics:

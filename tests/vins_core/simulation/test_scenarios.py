@@ -1,0 +1,155 @@
+"""Each scenario is what its declaration says."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vins_core.errors import ParameterError
+from vins_core.geometry import so3
+from vins_core.io.messages import ImageMessage, ImuMessage, TruthMessage
+from vins_core.simulation import SCENARIOS, build, simulate
+from vins_core.simulation.simulate import T0_NS
+
+NAMED = {
+    "room_loop",
+    "standstill",
+    "pure_rotation",
+    "constant_velocity",
+    "image_dropout",
+    "imu_gap",
+    "low_texture",
+    "td_offset",
+    "wrong_extrinsic",
+}
+
+
+def seconds(t_ns: np.ndarray) -> np.ndarray:
+    return (t_ns - T0_NS) * 1e-9
+
+
+def test_the_named_scenarios_exist_and_say_what_happens():
+    assert set(SCENARIOS) >= NAMED
+    assert all(len(s.doc) > 40 and s.doc.endswith(".") for s in SCENARIOS.values())
+
+
+def test_equal_seeds_give_equal_bytes_and_others_do_not():
+    def recorded(seed: int) -> list[tuple]:
+        return [
+            (m.t_ns, m.data) if isinstance(m, ImageMessage) else (m.t_ns, m.gyro_rad_s.tobytes())
+            for m in simulate("room_loop", seed, 0.5).messages()
+            if not isinstance(m, TruthMessage)
+        ]
+
+    once = recorded(3)
+    assert once == recorded(3)
+    assert once != recorded(4)
+
+
+def test_a_shorter_recording_is_the_beginning_of_a_longer_one():
+    short, long = simulate("room_loop", 1, 0.4), simulate("room_loop", 1, 2.0)
+    np.testing.assert_allclose(short.imu.accel_m_s2, long.imu[: len(short.imu)].accel_m_s2, atol=1e-9)
+    np.testing.assert_array_equal(short.image_t_ns, long.image_t_ns[: len(short.image_t_ns)])
+
+
+def test_messages_come_in_the_order_of_their_stamps_with_imu_around_every_image():
+    messages = list(simulate("td_offset", 1, 0.6).messages())
+    stamps = [m.t_ns for m in messages]
+    assert stamps == sorted(stamps)
+    images = [m.t_ns for m in messages if isinstance(m, ImageMessage)]
+    imu = [m.t_ns for m in messages if isinstance(m, ImuMessage)]
+    assert len(images) == 5
+    assert imu[0] < images[0] and images[-1] < imu[-1]
+
+
+def test_td_offset_shifts_image_stamps_and_nothing_else():
+    late, plain = simulate("td_offset", 1, 0.6), simulate("room_loop", 1, 0.6)
+    td_ns = round(SCENARIOS["td_offset"].td_s * 1e9)
+    assert td_ns > 0
+    np.testing.assert_array_equal(late.image_t_ns + td_ns, plain.image_t_ns)
+    np.testing.assert_array_equal(late.image(2), plain.image(2))
+    np.testing.assert_array_equal(late.imu.gyro_rad_s, plain.imu.gyro_rad_s)
+    assert late.calibration.td_s == 0.0
+    assert late.true_calibration.td_s == SCENARIOS["td_offset"].td_s
+
+
+def test_images_are_missing_exactly_where_declared():
+    simulation = simulate("image_dropout")
+    t_s = seconds(simulation.image_t_ns)
+    every = seconds(simulate("room_loop", 1, simulation.duration_s).image_t_ns)
+    dropped = np.zeros(len(every), bool)
+    for start, end in simulation.scenario.image_dropouts:
+        dropped |= (every >= start - 1e-9) & (every < end - 1e-9)
+    assert dropped.any()
+    np.testing.assert_array_equal(t_s, every[~dropped])
+
+
+def test_the_imu_is_silent_exactly_where_declared():
+    simulation = simulate("imu_gap")
+    t_s, period_s = seconds(simulation.imu.t_ns), 1.0 / simulation.scenario.imu.rate_hz
+    holes = np.flatnonzero(np.diff(t_s) > 1.5 * period_s)
+    assert len(holes) == len(simulation.scenario.imu_gaps)
+    for hole, (start, end) in zip(holes, simulation.scenario.imu_gaps):
+        assert t_s[hole] == pytest.approx(start - period_s)
+        assert t_s[hole + 1] == pytest.approx(end)
+
+
+def test_the_wrong_extrinsic_is_wrong_by_the_declared_angle():
+    simulation = simulate("wrong_extrinsic", duration_s=0.4)
+    believed, true = (c.cameras[0].T_b_c for c in (simulation.calibration, simulation.true_calibration))
+    error = so3.log(so3.from_matrix(true[:3, :3].T @ believed[:3, :3]))
+    np.testing.assert_allclose(np.degrees(error), SCENARIOS["wrong_extrinsic"].believed_rotation_error_deg, atol=1e-9)
+    np.testing.assert_array_equal(believed[:3, 3], true[:3, 3])
+
+
+@pytest.mark.parametrize("name", sorted(set(SCENARIOS) - {"td_offset", "wrong_extrinsic"}))
+def test_elsewhere_the_calibration_is_right(name):
+    simulation = simulate(name, duration_s=0.4)
+    believed, true = simulation.calibration, simulation.true_calibration
+    np.testing.assert_array_equal(believed.cameras[0].T_b_c, true.cameras[0].T_b_c)
+    assert believed.td_s == true.td_s
+    assert believed.cameras[0].model == true.cameras[0].model
+
+
+def test_imu_noise_and_biases_have_their_declared_sizes():
+    scenario = dataclasses.replace(SCENARIOS["standstill"], duration_s=60.0)
+    simulation = build("quiet", scenario)
+    noise, rate = scenario.imu.noise, scenario.imu.rate_hz
+    truth = simulation.truth
+    assert truth.b_g is not None and truth.b_a is not None
+    measured, walking = simulation.imu[::2], 100.0
+    gyro = measured.gyro_rad_s - truth.b_g
+    accel = measured.accel_m_s2 - truth.b_a - [0.0, 0.0, scenario.gravity_m_s2]
+    accel = accel - accel.mean(0)  # the upright body leans by the motion's angles, here none
+    assert gyro.std() == pytest.approx(noise.gyr_n * np.sqrt(rate), rel=0.05)
+    assert accel.std() == pytest.approx(noise.acc_n * np.sqrt(rate), rel=0.05)
+    assert np.diff(truth.b_a, axis=0).std() == pytest.approx(noise.acc_w / np.sqrt(walking), rel=0.05)
+    assert np.diff(truth.b_g, axis=0).std() == pytest.approx(noise.gyr_w / np.sqrt(walking), rel=0.05)
+    np.testing.assert_allclose(truth.b_g[0], scenario.imu.b_g_rad_s, atol=1e-12)
+
+
+def test_the_furnished_room_has_corners_everywhere_and_the_bare_one_has_not():
+    import cv2
+
+    def strong_corners(name: str) -> np.ndarray:
+        response = cv2.cornerMinEigenVal(simulate(name, duration_s=1.2).image(5), 3)
+        thirds = [column for row in np.array_split(response, 3) for column in np.array_split(row, 3, axis=1)]
+        return np.array([(cell > 0.002).sum() for cell in thirds])
+
+    rich, poor = strong_corners("room_loop"), strong_corners("low_texture")
+    assert rich.min() > 20
+    assert poor.sum() < 0.05 * rich.sum()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("room_lop", 1, 1.0), "room_loop"),
+        (("room_loop", 1, 0.0), "duration 0 s"),
+        (("room_loop", 1, 1e6), "at most 600 s"),
+        (("room_loop", -1, 1.0), "seed -1"),
+    ],
+)
+def test_what_cannot_be_simulated_is_told(arguments, told):
+    with pytest.raises(ParameterError, match=told):
+        simulate(*arguments)
