@@ -37,6 +37,9 @@ def text(value: Child) -> Html:
     return Html("".join(map(text, value)))
 
 
+_VOID = ("img", "br")
+
+
 def tag(name: str, *children: Child, **attributes: str | float | None) -> Html:
     """`<name attributes>children</name>`; `cls` is class, `data_x` is data-x, an attribute None is left out."""
     head = "".join(
@@ -44,7 +47,7 @@ def tag(name: str, *children: Child, **attributes: str | float | None) -> Html:
         for key, value in attributes.items()
         if value is not None and value != ""
     )
-    return Html(f"<{name}{head}>{text(children)}</{name}>")
+    return Html(f"<{name}{head}>" if name in _VOID else f"<{name}{head}>{text(children)}</{name}>")
 
 
 def panel(key: str, *children: Child) -> Html:
@@ -87,6 +90,12 @@ def number(value: float | None, digits: int = 3) -> str:
         return _minus(f"{value:.0f}")
     decimals = max(digits - 1 - math.floor(math.log10(size)), 0)
     return _minus(f"{value:.{decimals}f}")
+
+
+def brief(value: float | None, digits: int = 3) -> str:
+    """`number` without trailing zeros: 0.25, 2.5, 20."""
+    figures = number(value, digits)
+    return figures.rstrip("0").rstrip(".") if "." in figures and "e" not in figures else figures
 
 
 def fixed(value: float | None, decimals: int) -> str:

@@ -59,7 +59,7 @@ def _hex_ramp(colormap: int, first: int, n: int) -> tuple[str, ...]:
     return tuple(f"#{r:02x}{g:02x}{b:02x}" for b, g, r in bgr.tolist())
 
 
-AGE_RAMP = _hex_ramp(cv2.COLORMAP_CIVIDIS, 50, OLD_TRACK)
+AGE_RAMP = _hex_ramp(cv2.COLORMAP_CIVIDIS, 70, OLD_TRACK)
 """Cividis without its darkest part: index 0 is a new track, the last one `OLD_TRACK` images or older."""
 
 

@@ -6,8 +6,23 @@ they survive new content: `--vi-x`, `--vi-y` (px), `--vi-z`, `--vi-head` (0..1).
 
 from __future__ import annotations
 
-from .palette import AGE_RAMP, BAD, CANDIDATE, ESTIMATE, GROUND, IMU, LINE, MUTED, OK, PRIOR, RAISED, SELECTION
-from .palette import STRONG, SUNKEN, TEXT
+from .palette import (
+    AGE_RAMP,
+    BAD,
+    CANDIDATE,
+    ESTIMATE,
+    GROUND,
+    IMU,
+    LINE,
+    MUTED,
+    OK,
+    PRIOR,
+    RAISED,
+    SELECTION,
+    STRONG,
+    SUNKEN,
+    TEXT,
+)
 
 FONT = "Inter,-apple-system,'Segoe UI',Roboto,'Helvetica Neue','Liberation Sans',Arial,sans-serif"
 MONO = "'JetBrains Mono',Menlo,Consolas,'Liberation Mono','DejaVu Sans Mono',monospace"
@@ -52,7 +67,7 @@ _TABLES = f"""
 .vi-table{{border-collapse:collapse;width:100%}}
 .vi-table td,.vi-table th{{padding:2px 6px;text-align:left;border-bottom:1px solid #2B3038;white-space:nowrap}}
 .vi-table th{{color:{MUTED};font-weight:500;font-size:11px}}
-.vi-table .vi-n{{text-align:right}} .vi-table .vi-wide{{width:40%}}
+.vi-table .vi-n{{text-align:right}} .vi-table .vi-wide{{width:42%}}
 .vi-table td:first-child,.vi-table th:first-child{{padding-left:4px}}
 .vi-click{{cursor:pointer}} .vi-click:hover td{{background:#2C333D}}
 .vi-table tr.vi-now td{{background:#3A3A1C}} .vi-table tr.vi-dim td{{color:{MUTED}}}
@@ -60,6 +75,8 @@ _TABLES = f"""
 .vi-facts dt{{color:{MUTED}}} .vi-facts dd{{margin:0;color:{TEXT}}}
 .vi-bar{{position:relative;height:10px;background:{SUNKEN};border-radius:3px;overflow:hidden;min-width:48px}}
 .vi-bar i{{position:absolute;left:0;top:0;bottom:0;border-radius:3px}}
+.vi-sigmas{{display:flex;gap:3px}} .vi-sigmas>*{{flex:1 1 0;min-width:0}}
+.vi-table th .vi-sigmas{{font-size:10px;color:#7C8590}}
 .vi-stack{{display:flex;height:12px;border-radius:3px;overflow:hidden;gap:1px}}
 .vi-stack i{{height:100%}}
 .vi-costs{{display:grid;grid-template-columns:max-content 1fr max-content;gap:4px 10px;align-items:center}}
@@ -76,6 +93,8 @@ _GATES = f"""
 .vi-gates .vi-knob{{font:10.5px/1.35 {MONO};color:#7F93A8;cursor:pointer;overflow:hidden;
  text-overflow:ellipsis;white-space:nowrap;justify-self:start;max-width:100%}}
 .vi-gates .vi-knob:hover{{color:{ESTIMATE};text-decoration:underline}}
+.vi-gates .vi-behind{{gap:8px;align-items:baseline}}
+.vi-gates+.vi-row,.vi-row+.vi-facts{{margin-top:6px}}
 .vi-gates .vi-lim{{display:flex;justify-content:space-between;gap:8px;font-size:11px;color:{MUTED};white-space:nowrap}}
 .vi-gates .vi-lim .vi-bad{{font-weight:600}}
 .vi-meter{{position:relative;height:12px;background:{SUNKEN};border-radius:3px;overflow:hidden}}
@@ -84,7 +103,7 @@ _GATES = f"""
 .vi-meter u{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{STRONG};border-radius:1px}}
 .vi-meter.vi-none{{background:repeating-linear-gradient(135deg,{SUNKEN} 0 4px,{RAISED} 4px 6px)}}
 .vi-lamps{{display:flex;gap:2px;margin:4px 0 8px}}
-.vi-lamp{{flex:1 1 0;min-width:0;border-radius:4px;background:{SUNKEN};padding:4px 4px 4px;text-align:center;
+.vi-lamp{{flex:1 1 0;min-width:0;border-radius:4px;background:{SUNKEN};padding:4px 1px;text-align:center;
  font-size:10.5px;line-height:1.25;border-top:3px solid {CANDIDATE};color:{MUTED};overflow-wrap:break-word}}
 .vi-lamp svg{{margin:0 auto 2px}}
 .vi-lamp.vi-ok{{border-top-color:{OK};color:{TEXT}}} .vi-lamp.vi-bad{{border-top-color:{BAD};color:{TEXT};
@@ -94,8 +113,7 @@ _GATES = f"""
 .vi-outcome{{margin:3px 0 5px;padding:5px 9px;border-left:3px solid {BAD};background:#2E1D18;border-radius:0 4px 4px 0}}
 .vi-outcome.vi-good{{border-left-color:{OK};background:#15261F;color:{TEXT}}}
 .vi-outcome.vi-plain{{border-left-color:{CANDIDATE};background:{SUNKEN};color:{TEXT}}}
-.vi-outcome.vi-key{{border:0;border-left:3px solid {ESTIMATE};font:inherit;background:#16242E;color:{TEXT};
- border-radius:0 4px 4px 0;padding:5px 9px}}
+.vi-outcome.vi-kept{{border-left-color:{ESTIMATE};background:#16242E;color:{TEXT}}}
 """
 
 _CAMERA = f"""
@@ -103,22 +121,27 @@ _CAMERA = f"""
 .vi-zoom{{contain:strict;position:absolute;inset:0;transform-origin:0 0;
  transform:translate(var(--vi-x),var(--vi-y)) scale(var(--vi-z))}}
 .vi-zoom img,.vi-zoom svg{{position:absolute;inset:0;width:100%;height:100%;display:block}}
-.vi-zoom.z img{{image-rendering:pixelated}}
+:root.vi-magnified .vi-zoom img{{image-rendering:pixelated}}
 .vi-zoom circle{{r:calc(var(--r,3.4px)*var(--u)/var(--vi-z));stroke-width:calc(var(--s,1.3px)*var(--u)/var(--vi-z));
  cursor:pointer}}
 .vi-zoom polyline{{fill:none;stroke-width:calc(var(--s,1.1px)*var(--u)/var(--vi-z));stroke-linejoin:round;opacity:.7;
  pointer-events:none}}
-.vi-zoom g.m path{{fill:none;stroke-width:calc(1.7px*var(--u)/var(--vi-z));stroke-linecap:round}}
-.vi-zoom g.h path{{fill:none;stroke:#000;stroke-opacity:.55;stroke-width:calc(3.6px*var(--u)/var(--vi-z));
- stroke-linecap:round;pointer-events:none}}
-.vi-zoom .o{{cursor:pointer;stroke-width:calc(.8px*var(--u)/var(--vi-z));stroke:#000}}
+.vi-zoom .x{{cursor:pointer}}
+.vi-zoom g path{{transform:scale(calc(var(--u)/var(--vi-z)))}}
+.vi-zoom .x path{{fill:none;stroke-width:1.8px;stroke-linecap:round}}
+.vi-zoom .x .h{{stroke:#000;stroke-opacity:.6;stroke-width:4px}}
+.vi-zoom .x:hover path:not(.h){{stroke:{SELECTION}}}
+.vi-zoom .o{{cursor:pointer;stroke-width:.8px;stroke:#000}}
 .vi-zoom circle:hover,.vi-zoom .o:hover{{stroke:{SELECTION};--s:2.4px}}
 .vi-zoom .p{{--r:6.5px;--s:2.3px;stroke:{SELECTION};fill:#F0E44240}}
-.vi-ages{{width:84px;height:9px;border-radius:4px;background:linear-gradient(90deg,{",".join(AGE_RAMP[::4])})}}
+.vi-noimg{{position:absolute;inset:0;display:flex;align-items:center;justify-content:center;padding:20px;
+ text-align:center;color:{MUTED};pointer-events:none}}
+.vi-scale{{display:inline-flex;align-items:center;gap:5px}}
+.vi-ages{{display:inline-block;width:84px;height:9px;border-radius:4px;background:linear-gradient(90deg,{",".join(AGE_RAMP[::4])})}}
 .vi-legend{{display:flex;gap:4px 12px;align-items:center;flex-wrap:wrap;margin-top:6px}}
+.vi-legend+.vi-row{{margin-top:4px}}
 .vi-legend span{{white-space:nowrap}}
 .vi-legend svg{{display:inline-block;vertical-align:-1.5px;margin-right:4px}}
-.vi-legend-item{{display:inline-flex;align-items:center}}
 """
 
 _PLOTS = f"""
@@ -126,15 +149,25 @@ _PLOTS = f"""
 .vi-head{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{SELECTION};pointer-events:none;
  left:calc(var(--vi-head)*100%)}}
 .vi-plots{{display:flex;padding-bottom:0}}
-.vi-strip{{position:relative;background:{SUNKEN};border-radius:4px;margin-bottom:3px;overflow:hidden}}
+.vi-strip{{position:relative;background:{SUNKEN};border-radius:4px;overflow:hidden}}
 .vi-strip svg{{width:100%;height:100%}}
-.vi-strip .vi-name{{position:absolute;left:6px;top:2px;font-size:11px;pointer-events:auto}}
-.vi-strip .vi-max{{position:absolute;right:6px;top:2px;font-size:10px;color:#7C8590;pointer-events:none}}
+.vi-names{{flex:0 0 72px}}
+.vi-name{{display:flex;flex-direction:column;justify-content:center;line-height:1.25;font-size:11.5px;white-space:nowrap}}
+.vi-max{{font-size:10px;color:#7C8590}}
 .vi-values{{flex:0 0 66px}}
 .vi-value{{display:flex;flex-direction:column;justify-content:center;align-items:flex-end;line-height:1.2;
- margin-bottom:3px;color:{STRONG};font-weight:600;font-size:13px;white-space:nowrap}}
+ color:{STRONG};font-weight:600;font-size:13px;white-space:nowrap}}
 .vi-value .vi-unit{{font-weight:400;font-size:10.5px}}
 .vi-over{{position:relative;height:0}}
+.vi-tight{{padding-top:0;padding-bottom:0}}
+.vi-tight .vi-values{{position:absolute;right:0;width:66px}}
+.vi-grow{{flex:1 1 auto;min-width:0}}
+.vi-sunken{{background:{SUNKEN};border-radius:4px;overflow:hidden}}
+.vi-clock{{position:relative;height:14px;font-size:10px;color:{MUTED}}}
+.vi-clock span{{position:absolute;top:2px;transform:translateX(-50%);white-space:nowrap}}
+.vi-clock span:first-child{{transform:none}}
+.vi-keys{{color:{MUTED};margin-left:auto;white-space:nowrap}}
+.vi-kf{{color:{ESTIMATE}}}
 .vi-time{{display:flex;gap:8px;align-items:stretch}}
 .vi-lanes{{position:relative;flex:0 0 58px}}
 .vi-lanes span{{position:absolute;right:0;font-size:10px;line-height:10px;color:{MUTED};text-align:right}}

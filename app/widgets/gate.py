@@ -15,9 +15,9 @@ from collections.abc import Iterable
 
 from vins_core.report import Gate
 
-from ..html import UNITS, Html, number, send, tag, term, text, unit
+from ..html import UNITS, Html, brief, number, send, tag, term, text, unit
 from ..palette import BAD, CANDIDATE, ESTIMATE, GROUND, OK
-from ..tooltips import gate_tip
+from ..tooltips import gate_tip, parameter_tip
 
 OPS = {">=": "≥", ">": ">", "<=": "≤", "<": "<"}
 
@@ -60,20 +60,23 @@ def verdict(gate: Gate, *, switch: bool = False) -> Html:
 def quantity(value: float | None, unit_name: str = "") -> Html:
     """`12.3 px` with the unit small; whole numbers without decimals."""
     if value is None:
-        return text("not computed")
+        return tag("span", "not computed", cls="vi-unit")
     return text((number(value), unit(unit_name)))
 
 
-def margin_words(gate: Gate) -> str:
-    """`7 short`, `0.4 m over`, `5 to spare`, `just at the limit`."""
+def margin_words(gate: Gate, *, switch: bool = False) -> str:
+    """`7 short`, `0.4 m over`, `5 to spare`, `just at the limit`; of a switch `3 px away`, `4 px beyond`."""
     margin = gate.margin
     if margin is None or not math.isfinite(margin):
         return "" if gate.value is None else "no margin"
     if margin == 0:
         return "just at the limit"
-    side = "to spare" if margin > 0 else "short" if gate.op.startswith(">") else "over"
+    if switch:
+        side = "away" if margin > 0 else "beyond"
+    else:
+        side = "to spare" if margin > 0 else "short" if gate.op.startswith(">") else "over"
     name = UNITS.get(gate.unit, gate.unit)
-    return f"{number(abs(margin))}{'' if not name or name == '°' else ' '}{name} {side}"
+    return f"{brief(abs(margin))}{'' if not name or name == '°' else ' '}{name} {side}"
 
 
 def meter(gate: Gate, colour: str) -> Html:
@@ -111,32 +114,28 @@ def gate_rows(gate: Gate, *, switch: bool = False) -> Html:
         colour = CANDIDATE if gate.passed else ESTIMATE
     else:
         colour = OK if gate.passed else BAD
-    words = margin_words(gate)
+    words = margin_words(gate, switch=switch)
     tone = "" if gate.passed or switch else "vi-bad"
     name = gate.name.replace("_", " ")
     tip = gate_tip(gate)
     knob = (
-        tag("span", gate.knob, cls="vi-knob", onclick=send(k="knob", key=gate.knob), data_tip=_knob_tip(gate.knob))
+        tag("span", gate.knob, cls="vi-knob", onclick=send(k="knob", key=gate.knob), data_tip=parameter_tip(gate.knob))
         if gate.knob
-        else tag("span")
+        else None
     )
-    advisory = None if gate.decides else tag("span", " advisory", cls="vi-unit")
-    limit = tag("span", OPS.get(gate.op, gate.op), " ", number(gate.limit), unit(gate.unit))
+    advisory = None if gate.decides else tag("span", "advisory", cls="vi-unit", title="shown, but decides nothing")
+    limit = tag("span", OPS.get(gate.op, gate.op), " ", brief(gate.limit), unit(gate.unit))
     return text(
         (
             tag("span", verdict(gate, switch=switch), data_gate=gate.name),
-            tag("span", term(name, tip), advisory),
+            term(name, tip),
             tag("span", quantity(gate.value, gate.unit), cls="vi-val"),
             meter(gate, colour),
             Html("<span></span>"),
-            tag("span", knob, cls="vi-behind"),
+            tag("span", knob, advisory, cls="vi-behind"),
             tag("span", limit, tag("span", words, cls=tone), cls="vi-lim"),
         )
     )
-
-
-def _knob_tip(knob: str) -> str:
-    return f"param.{knob}"
 
 
 def gate_list(gates: Iterable[Gate], *, switch: bool = False, failed_first: bool = False) -> Html:

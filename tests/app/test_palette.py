@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+
 from app import palette
 
 # Machado, Oliveira, Fernandes (2009), severity 1, on linear RGB.
