@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -51,6 +52,9 @@ class BagRecording(Recording):
     # -- table of contents -------------------------------------------------------------------------------------------
 
     def _open(self) -> Any:
+        if self.kind == "ros2":
+            for file in [self.path] if self.path.is_file() else self.path.glob("*.db3"):
+                _require_all_pages(file)
         reader: Any = Reader1(self.path) if self.kind == "ros1" else Reader2(self.path)
         reader.open()
         if self.kind == "mcap":
@@ -244,6 +248,17 @@ def _repair(kind: str, path: Path) -> str:
         file = next(iter(sorted(path.glob("*.mcap"))), path) if path.is_dir() else path
         return f"mcap recover {file} -o repaired.mcap"
     return f"ros2 bag reindex {path if path.is_dir() else path.parent}"
+
+
+def _require_all_pages(file: Path) -> None:
+    """SQLite notices a missing end only when it gets there; its header says at once (page size, page count)."""
+    with file.open("rb") as stream:
+        header = stream.read(100)
+    if len(header) < 100 or not header.startswith(b"SQLite format 3\0"):
+        raise ValueError(f"{file.name} is no SQLite file")
+    page, pages = struct.unpack_from(">H", header, 16)[0], struct.unpack_from(">I", header, 28)[0]
+    if file.stat().st_size < (65536 if page == 1 else page) * pages:
+        raise ValueError(f"{file.name} ends before its last page")
 
 
 def _require_index(reader: Reader2) -> None:

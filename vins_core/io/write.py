@@ -5,7 +5,6 @@ Stamps stay exact to the nanosecond, numbers to the last bit, and encoded images
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -26,6 +25,9 @@ Format = Literal["asl", "ros1", "ros2", "mcap"]
 class MessageWriter(Protocol):
     def write(self, message: Message) -> None: ...
     def close(self) -> None: ...
+    def abort(self) -> None:
+        """Stop and remove what was written."""
+        ...
 
 
 def write_recording(
@@ -52,14 +54,15 @@ def write_recording(
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         writer = makers[format]()
-        for message in messages:
-            writer.write(message)
-        writer.close()
-    except BaseException as error:
-        _remove(out)
-        if isinstance(error, OSError):
-            raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
-        raise
+        try:
+            for message in messages:
+                writer.write(message)
+            writer.close()
+        except BaseException:
+            writer.abort()
+            raise
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
     if beside is not None and settings is not None:
         own_yaml.write(beside, settings.calibration, settings.overrides, settings.notes)
     return out
@@ -93,10 +96,3 @@ def convert(
 def calibration_path(out: Path) -> Path:
     """Where the calibration of a bag is written."""
     return out.with_suffix(".yaml") if out.suffix in (".bag", ".mcap", ".db3") else out.with_name(out.name + ".yaml")
-
-
-def _remove(out: Path) -> None:
-    if out.is_dir():
-        shutil.rmtree(out, ignore_errors=True)
-    else:
-        out.unlink(missing_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TextIO
@@ -56,6 +57,10 @@ class AslWriter:
     def close(self) -> None:
         for table in self._tables.values():
             table.close()
+
+    def abort(self) -> None:
+        self.close()
+        shutil.rmtree(self._root.parent, ignore_errors=True)
 
     def _add(self, topic: str, kind: str) -> None:
         """A folder for a topic: cam0, imu0 ... as the topic says, else the next free number."""

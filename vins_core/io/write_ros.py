@@ -48,6 +48,15 @@ class _RosWriter:
     def close(self) -> None:
         self._writer.close()
 
+    def abort(self) -> None:
+        """Stop and remove what was written."""
+        self._writer.abort()
+        path = self._writer.path
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+
     def _put(self, topic: str, msgtype: str, t_ns: int, frame_id: str, **fields: Any) -> None:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._codec.store)
