@@ -67,7 +67,7 @@ class Scenario:
 SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
     {
         "room_loop": Scenario(
-            "A lap and a half quarter around a furnished room, hand-held; after 21 s the start is seen again. "
+            "One and a third laps around a furnished room, hand-held; from 18 to 21 s the start comes into view again. "
             "Everything is right: it initialises within 3 s and stays within centimetres.",
             duration_s=28.0,
         ),
@@ -98,7 +98,8 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             imu_gaps=((6.0, 6.1), (10.0, 10.6)),
         ),
         "low_texture": Scenario(
-            "The room loop in a bare white room with faint stains and one picture: few corners, short tracks.",
+            "The room loop in a bare white room with faint stains and one picture: most corners are noise and nearly "
+            "all tracks are lost at once.",
             world=rooms.bare,
         ),
         "td_offset": Scenario(
