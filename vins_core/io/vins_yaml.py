@@ -54,7 +54,8 @@ UNSUPPORTED = {
 
 
 def recognizes(keys: Keys) -> bool:
-    return "cam0_calib" in keys or ("imu_topic" in keys and ("model_type" in keys or "image_topic" in keys))
+    """By any key that only such a config has, so that a config with a key missing is still told which."""
+    return any(key in keys for key in ("cam0_calib", "imu_topic", "image_topic", "extrinsicRotation", "body_T_cam0"))
 
 
 def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
