@@ -63,7 +63,7 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     cost = system.cost.total
     Dc = np.clip(system.H.diagonal(), 1e-6, 1e32)
     Dl = np.clip(system.h, 1e-6, 1e32)
-    gauge = gauge_damping(at.states)
+    gauge = gauge_damping(at.states.poses[0])
     solved = schur.solve_damped(system, Dc / at.radius, Dl / at.radius, gauge)
     ratio, step_norm, trial_cost = float("-inf"), float("nan"), float("nan")
     if solved is not None:
@@ -87,9 +87,9 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     return Iteration(states, trial, radius, 2.0, reports, fall)
 
 
-def gauge_damping(states: States) -> np.ndarray:
-    """(6, 6) on the oldest pose: its position, and its rotation about gravity, whose axis in the body is R' e_z."""
-    axis = so3.rotate(so3.inverse(states.poses[0, 3:]), np.array([0.0, 0.0, 1.0]))
+def gauge_damping(pose: np.ndarray) -> np.ndarray:
+    """(6, 6) on the position of a pose and on its rotation about gravity, whose axis in the body is R' e_z."""
+    axis = so3.to_matrix(pose[3:])[2]
     damping = np.zeros((6, 6))
     damping[:3, :3] = np.eye(3)
     damping[3:, 3:] = np.outer(axis, axis)

@@ -26,12 +26,11 @@ class VisualTerm:
         n = len(table)
         extrinsic = ("extrinsic",) if layout.n_extrinsics else ()
         self._batch = self._fill_data(("pose_i", "pose_j", *extrinsic, "inv_depth"))
-        self._system = self._batch.system  # (c + 2, 2, N): camera columns, inverse depth, residual
 
         new_pair = np.diff(table.anchor * layout.n_frames + table.observer, prepend=-1) != 0
         first = np.flatnonzero(new_pair)
         length = np.diff(first, append=n)
-        pair = np.repeat(np.arange(len(first)), length)  # of each factor
+        self.pair = pair = np.repeat(np.arange(len(first)), length)  # (N,) row of `columns`
         blocks = [layout.columns("pose", table.anchor[first]), layout.columns("pose", table.observer[first])]
         if layout.n_extrinsics:
             blocks.append(layout.columns("extrinsic", np.full(len(first), table.camera)))
@@ -46,7 +45,7 @@ class VisualTerm:
         self._products = np.empty((len(first), c + 1, c + 1))
         ends = zip((2 * first).tolist(), (2 * (first + length)).tolist())
         views = (self._packed[:, a:b] for a, b in ends)
-        self._pairs = [(rows, rows.T, out) for rows, out in zip(views, self._products)]
+        self._pairs = [(lanes, lanes.T, out) for lanes, out in zip(views, self._products)]
 
         self._in_W = table.landmark * layout.visual + self.columns.T[:, pair]  # (c, N)
         self._W_shape = (problem.n_landmarks, layout.visual)
@@ -67,22 +66,29 @@ class VisualTerm:
         states.inv_depths.take(table.landmark, 0, batch.inputs[3][0], "clip")
         batch.evaluate()
 
+    def rows(self, states: States) -> tuple[np.ndarray, float]:
+        """[J r] of every projection with the robust weight, (c + 2, 2, N), and the cost.
+
+        The last two columns are the inverse depth and the residual; the others belong to `columns[pair]`.
+        """
+        self._evaluate(self._batch, states)
+        loss, system = self._problem.loss, self._batch.system
+        r = system[-1]
+        s = r[0] * r[0] + r[1] * r[1]
+        system *= loss.weight(s)
+        return system, 0.5 * float(loss.rho(s).sum())
+
     def linearize(
         self, states: States, JtJ: np.ndarray, Jtr: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         """Fills J'J and J'r of every pair, (pairs, c, c) and (pairs, c); returns cost, W, h and g_l."""
-        self._evaluate(self._batch, states)
-        loss, system = self._problem.loss, self._system
-        r = system[-1]
-        s = r[0] * r[0] + r[1] * r[1]
-        system *= loss.weight(s)
-
+        system, cost = self.rows(states)
         c = len(system) - 2
-        camera, depth, packed = system[:c], system[c], self._packed
+        camera, depth, r, packed = system[:c], system[c], system[c + 1], self._packed
         camera.reshape(c, -1).take(self._lanes, 1, packed[:c], "clip")
         r.reshape(-1).take(self._lanes, 0, packed[c], "clip")
-        for rows, rows_t, out in self._pairs:
-            np.dot(rows, rows_t, out)
+        for lanes, lanes_t, out in self._pairs:
+            np.dot(lanes, lanes_t, out)
         JtJ[:] = self._products[:, :c, :c]
         Jtr[:] = self._products[:, c, :c]
 
@@ -92,7 +98,7 @@ class VisualTerm:
         W = np.bincount(self._in_W.reshape(-1), coupling.reshape(-1), m * P).reshape(m, P)
         h = np.bincount(landmark, depth[0] * depth[0] + depth[1] * depth[1], m)
         g_l = np.bincount(landmark, depth[0] * r[0] + depth[1] * r[1], m)
-        return 0.5 * float(loss.rho(s).sum()), W, h, g_l
+        return cost, W, h, g_l
 
     def residuals(self, states: States) -> np.ndarray:
         """(2, N) whitened, before the robust loss, in the order of the problem's table."""
