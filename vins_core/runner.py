@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from . import params as parameters
@@ -66,6 +67,7 @@ def run_recording(
     `duration_s` count from the first image.  `cancelled` is asked after each frame.  However it ends, what was
     written can be read.  Raises VinspectError, before `out` is touched when the input is at fault.
     """
+    cv2.setNumThreads(1)  # several fight with each other and with the page for a few cores
     assignments = dict(parameters.parse_assignment(text) for text in settings)
     parameters.replace(Params(), assignments)  # a wrong one is told before anything is read
     with open_recording(recording) as source:

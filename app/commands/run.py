@@ -23,11 +23,8 @@ def run(
     settings: Settings = (),
 ) -> None:
     """Estimate a recording and record everything the estimator knew."""
-    import cv2
-
     from vins_core.runner import run_recording
 
-    cv2.setNumThreads(1)
     anomalies, reason, frames = 0, "no attempt was made", 0
     with progress_bar(f"{recording.name}") as report:
 

@@ -48,7 +48,7 @@ def evaluate(estimate: Trajectory, truth: Trajectory, max_dt_s: float, first_ima
     """Raises RecordingError when there are poses but fewer than three of them have truth."""
     first_pose_s = None
     if len(estimate) and first_image_ns is not None:
-        first_pose_s = float(estimate.t_ns[0] - first_image_ns) * 1e-9
+        first_pose_s = int(estimate.t_ns[0] - first_image_ns) / 1e9
     if len(estimate) == 0:
         return Evaluation(0, 0, None, None, None, None, None, None)
     known = np.isfinite(truth.p_w_b).all(1)

@@ -251,7 +251,9 @@ class RunReader:
         if k < len(self):
             for mine, block in zip(self.report(k).images, self._section(k, "images", list[Block]), strict=True):
                 if mine == ref:
-                    return _decode(self._images.read(block), f"{self.path / IMAGES} at byte {block.offset}")
+                    camera = self.header.calibration.cameras[ref.camera].model
+                    where = f"{self.path / IMAGES} at byte {block.offset}"
+                    return _decode(self._images.read(block), (camera.height, camera.width), where)
         raise RunError(f"{self.path} holds no image {ref.index} of camera {ref.camera} at {ref.t_ns} ns")
 
     def close(self) -> None:
@@ -333,10 +335,13 @@ def _encode(image: np.ndarray) -> bytes:
     return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
 
 
-def _decode(data: bytes, where: str) -> np.ndarray:
+def _decode(png: bytes, shape: tuple[int, int], where: str) -> np.ndarray:
     import cv2
 
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    width, height = int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")  # of the IHDR chunk
+    if (height, width) != shape:  # told before a forged size takes memory
+        raise RunError(f"{where} holds an image of {width}x{height} where {shape[1]}x{shape[0]} is calibrated")
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise RunError(f"{where} does not hold an image")
     return image

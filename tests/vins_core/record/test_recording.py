@@ -218,7 +218,7 @@ class Noise:
     """Images that differ in every pixel."""
 
     def load(self, ref: ImageRef) -> np.ndarray:
-        return np.random.default_rng(ref.index).integers(0, 256, (48, 64), np.uint8)
+        return np.random.default_rng(ref.index).integers(0, 256, (480, 752), np.uint8)
 
 
 def test_embedded_images_come_back_bit_for_bit(tmp_path: Path, frames: list) -> None:
@@ -238,6 +238,17 @@ def test_embedded_images_come_back_bit_for_bit(tmp_path: Path, frames: list) -> 
     (tmp_path / "run" / IMAGES).write_bytes(data)
     with pytest.raises(RunError, match=r"images.log is damaged at byte 0"):
         reader.load(frames[0][0].images[0])
+
+
+def test_an_image_of_a_forged_size_is_refused_before_it_takes_memory(
+    tmp_path: Path, frames: list, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forged = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (2**15).to_bytes(4, "big") * 2 + bytes(20)
+    monkeypatch.setattr("vins_core.record.recording._encode", lambda image: forged)
+    with RunWriter(tmp_path / "run", samples.header(embedded_images=True), images=Noise()) as writer:
+        writer.append(*frames[0])
+    with pytest.raises(RunError, match=r"an image of 32768x32768 where 752x480 is calibrated"):
+        RunReader(tmp_path / "run").load(frames[0][0].images[0])
 
 
 def test_images_are_not_embedded_unless_asked_for(run: Path, frames: list) -> None:

@@ -1,0 +1,55 @@
+"""What recording a frame costs, and how fast one comes back: `pytest tests/benchmarks --benchmark-enable`."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import pytest
+import record_samples as samples
+
+from vins_core.record.recording import RunReader, RunWriter
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def frames() -> list:
+    return list(samples.frames(FRAMES))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, frames: list) -> Path:
+    path = tmp_path_factory.mktemp("record") / "run"
+    with RunWriter(path, samples.header(), samples.truth()) as writer:
+        for frame in frames:
+            writer.append(*frame)
+    return path
+
+
+def test_append_a_frame(benchmark: Any, tmp_path: Path, frames: list) -> None:
+    numbers = itertools.count()
+
+    def a_whole_run() -> None:
+        with RunWriter(tmp_path / str(next(numbers)), samples.header()) as writer:
+            for frame in frames:
+                writer.append(*frame)
+
+    benchmark.pedantic(a_whole_run, rounds=5)
+    benchmark.extra_info["frames"] = FRAMES
+
+
+def test_open_a_run(benchmark: Any, run: Path) -> None:
+    assert len(benchmark(RunReader, run)) == FRAMES
+
+
+def test_read_a_report(benchmark: Any, run: Path) -> None:
+    reader, order = RunReader(run, keep=1), itertools.cycle([50, 20, 35, 5])
+    assert benchmark(lambda: reader.report(next(order))).window is not None
+
+
+def test_restore_a_state(benchmark: Any, run: Path) -> None:
+    reader, order = RunReader(run, keep=16), itertools.cycle([50, 20, 35])  # their windows push each other out
+    reader.state(0)  # imports
+    assert len(benchmark(lambda: reader.state(next(order))).window.frames) == 11
