@@ -156,7 +156,7 @@ _SUFFIXES = {"deg": "deg", "px": "px460", "m": "m", "s": "s"}
 
 
 def _values(values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
-    """(label, figures, unit) of what a stage found: `turned_deg` loses its suffix, `b_g_x` to `b_g_z` are one vector."""
+    """(label, figures, unit) of what a stage found: `turned_deg` loses its suffix, b_g_x, b_g_y, b_g_z are one."""
     for name, value in values.items():
         stem, _, end = name.rpartition("_")
         axes = [f"{stem}_{axis}" for axis in "xyz"]

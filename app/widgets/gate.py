@@ -105,7 +105,9 @@ def _span(value: float, limit: float) -> tuple[float, float]:
     value = min(max(value, -4 * reach), 4 * reach)
     low, high = min(0.0, value, limit), max(0.0, value, limit)
     room = 0.18 * (high - low)
-    return low - room if low < 0 else 0.0, high + room if high > 0 or low == high else 0.0
+    if high == low:
+        return 0.0, reach
+    return low - room if low < 0 else 0.0, high + room
 
 
 def gate_rows(gate: Gate, *, switch: bool = False) -> Html:
