@@ -27,7 +27,8 @@ class StampWatch:
         self.last_ns: int | None = None
         self.after_gap = False
         """Whether samples are missing before the newest one."""
-        self._period_ns = 1e9 / rate_hz if rate_hz else None
+        self._period_ns = 1e9 / rate_hz if rate_hz else None  # the mean, until a median is known
+        self._measured = False
         self._gap_kind = gap_kind
         self._gap_factor = gap_factor
         self._steps: list[int] = []
@@ -89,13 +90,13 @@ class StampWatch:
             return
         period = float(np.median(self._steps))
         self._steps.clear()
-        if self._period_ns and abs(period / self._period_ns - 1) > RATE_TOLERANCE:
+        if self._measured and self._period_ns and abs(period / self._period_ns - 1) > RATE_TOLERANCE:
             self.note(
                 "rate_change",
                 t_ns,
                 f"{self.topic} changes from {1e9 / self._period_ns:.4g} to {1e9 / period:.4g} Hz before {t_ns} ns",
             )
-        self._period_ns = period
+        self._period_ns, self._measured = period, True
 
 
 def image_watch(topic: str, rate_hz: float | None) -> StampWatch:

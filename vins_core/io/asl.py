@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import RecordingError
+from ..errors import CalibrationError, RecordingError
 from ..sensors import Calibration
 from . import images
 from .messages import GpsMessage, ImageMessage, ImuMessage
@@ -136,9 +137,8 @@ def _role(name: str) -> Role:
 
 
 def _topic(folder: Path, role: Role) -> str:
-    described = folder / "sensor.yaml"
-    if described.exists():
-        topic = read_yaml(described).get("topic")
+    with suppress(CalibrationError):  # what is wrong with it is told when it is needed as a calibration
+        topic = read_yaml(folder / "sensor.yaml").get("topic")
         if isinstance(topic, str) and topic:
             return topic
     return f"/{folder.name}/image_raw" if role == "image" else f"/{folder.name}"

@@ -20,7 +20,14 @@ from . import images
 from .messages import GpsMessage, ImageMessage, ImuMessage, Message, TruthMessage
 from .trajectory import from_messages
 
+_HOW_TO_CHOOSE = (
+    "name one of them in the calibration file (image_topic and imu_topic in a VINS config, rostopic in Kalibr's, "
+    "topic in vinspect's own)"
+)
+
 Role = Literal["image", "imu", "gps", "truth", "depth", "other"]
+
+WRITABLE: tuple[Role, ...] = ("image", "imu", "gps", "truth")
 
 
 @dataclass(frozen=True)
@@ -144,8 +151,7 @@ class Recording(ABC):
             return alike[0]
         there = ", ".join(f"{s.topic} ({s.type})" for s in streams) or f"no {role} topic at all"
         raise RecordingError(
-            f"{self.path}: there is no {role} topic {topic}; the recording has {there}: "
-            f"name one of its topics as {role}_topic in the calibration file"
+            f"{self.path}: there is no {role} topic {topic}; the recording has {there}: {_HOW_TO_CHOOSE}"
         )
 
     def _only(self, role: Role) -> str:
@@ -156,10 +162,7 @@ class Recording(ABC):
             there = ", ".join(f"{s.topic} ({s.type})" for s in self.streams) or "nothing"
             raise RecordingError(f"{self.path}: there is no {role} topic; the recording has {there}")
         names = ", ".join(s.topic for s in candidates)
-        raise RecordingError(
-            f"{self.path}: {len(candidates)} {role} topics ({names}); "
-            f"choose one by naming it as {role}_topic in the calibration file"
-        )
+        raise RecordingError(f"{self.path}: {len(candidates)} {role} topics ({names}): {_HOW_TO_CHOOSE}")
 
     # -- samples in time order ---------------------------------------------------------------------------------------
 
@@ -211,9 +214,13 @@ class Recording(ABC):
 
     def messages(self) -> Iterator[Message]:
         """Everything that can be written again: all cameras, IMUs, GPS receivers and ground truths."""
-        topics = [s.topic for s in self.streams if s.role in ("image", "imu", "gps", "truth") and s.count]
-        for item in self.scan(topics):
+        for item in self.scan([s.topic for s in self.streams if s.count and s.role in WRITABLE]):
             yield self._image(item) if isinstance(item, ImageStub) else item
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Topics that `messages` does not give."""
+        return tuple(s.topic for s in self.streams if s.count and s.role not in WRITABLE)
 
     # -- images ------------------------------------------------------------------------------------------------------
 

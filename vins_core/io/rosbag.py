@@ -49,6 +49,11 @@ class BagRecording(Recording):
                 self._reader.close()
                 self._reader = None
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        parts = {s.topic + part for s in self.of_role("truth") for part in (ros_messages.VELOCITY, ros_messages.BIAS)}
+        return tuple(topic for topic in super().left_out if topic not in parts)
+
     # -- table of contents -------------------------------------------------------------------------------------------
 
     def _open(self) -> Any:
@@ -116,13 +121,13 @@ class BagRecording(Recording):
         msgtype, role = self._connections[topic][0].msgtype, self.stream(topic).role
         if role == "image":
             for index, (record_ns, raw) in enumerate(source.of(topic)):
-                yield ImageStub(self._codec.stamp_ns(raw), topic, index, record_ns)
+                yield ImageStub(self._guard(self._codec.stamp_ns, raw), topic, index, record_ns)
             return
         convert: Callable[..., Any] = {"imu": ros_messages.imu, "gps": ros_messages.gps, "truth": ros_messages.truth}[
             role
         ]
         items = (
-            convert(self._guard(self._codec.decode, raw, msgtype), self._codec.stamp_ns(raw), topic)
+            convert(self._guard(self._codec.decode, raw, msgtype), self._guard(self._codec.stamp_ns, raw), topic)
             for _, raw in source.of(topic)
         )
         yield from self._join_truth(items, topic, source) if role == "truth" else items

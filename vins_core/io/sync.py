@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 
 import numpy as np
@@ -73,12 +74,12 @@ class ImuQueue:
 
     def in_gap(self, t_ns: int) -> bool:
         """Whether samples are missing around a time that the queue reaches."""
-        i = int(np.searchsorted(self._t_ns, t_ns))
+        i = bisect_left(self._t_ns, t_ns)
         return self._t_ns[i] != t_ns and self._after_gap[i]
 
     def cut(self, t_ns: int) -> ImuSamples:
         """All samples up to t_ns, the last one interpolated there if need be; it stays as the next one's first."""
-        i = int(np.searchsorted(self._t_ns, t_ns))
+        i = bisect_left(self._t_ns, t_ns)
         if self._t_ns[i] != t_ns:
             t0, t1 = self._t_ns[i - 1], self._t_ns[i]
             w = (t_ns - t0) / (t1 - t0)
@@ -93,7 +94,7 @@ class ImuQueue:
     def forget_before(self, t_ns: int) -> None:
         """Drop what is older, but keep the last sample at or before t_ns."""
         if self._t_ns and self._t_ns[0] < t_ns:
-            self._forget(max(int(np.searchsorted(self._t_ns, t_ns, "right")) - 1, 0))
+            self._forget(max(bisect_right(self._t_ns, t_ns) - 1, 0))
 
     def _forget(self, n: int) -> None:
         del self._t_ns[:n], self._values[:n], self._after_gap[:n]

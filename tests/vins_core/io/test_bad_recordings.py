@@ -140,7 +140,9 @@ def test_a_recording_without_images_is_told(tmp_path: Path) -> None:
 def test_ambiguous_topics_are_told_with_the_candidates_and_how_to_choose(tmp_path: Path) -> None:
     messages = in_time_order([*imus(0, 0.2), imu(T0, "/imu1"), *images(0, 0.2), *images(0, 0.2, topic="/cam1")])
     recording = recorded(tmp_path, messages, "ros1")
-    with pytest.raises(RecordingError, match=r"2 imu topics \(/imu0, /imu1\); choose one by naming it as imu_topic"):
+    with pytest.raises(
+        RecordingError, match=r"2 imu topics \(/imu0, /imu1\): name one of them in the calibration file"
+    ):
         recording.imu()
     with pytest.raises(RecordingError, match=r"2 image topics \(/cam0/image_raw/compressed, /cam1/compressed\)"):
         next(recording.images())

@@ -114,7 +114,7 @@ def odd_messages(draw: st.DrawFn) -> list[Message]:
     return [m for messages in (*lists, truths) for m in messages]
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(odd_messages())
 def test_odd_stamps_and_numbers_survive_every_format(messages: list[Message]) -> None:
     for format in FORMATS:

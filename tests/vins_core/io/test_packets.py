@@ -198,6 +198,11 @@ def test_images_after_the_imu_are_left_out_and_told(tmp_path: Path) -> None:
     assert found[-1].t_ns <= T0 + 1_500 * MS
 
 
+def test_a_pause_is_no_change_of_rate(tmp_path: Path) -> None:
+    found = frames(recorded(tmp_path, [*imus(0, 9, 100), *images(0, 3), *images(6.5, 9)]))
+    assert {a.kind for a in anomalies(found)} == {"dropped_image"}
+
+
 def test_a_change_of_rate_is_told(tmp_path: Path) -> None:
     found = frames(recorded(tmp_path, [*imus(0.0, 2.0, 200.0), *imus(2.01, 4.0, 100.0), *images(0.0, 4.0)]))
     changes = [a for a in anomalies(found) if a.kind == "rate_change"]
