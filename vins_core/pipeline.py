@@ -12,7 +12,7 @@ from .frontend.state import TrackerState
 from .frontend.step import track
 from .initialization.step import initialize
 from .params import Params
-from .report import FrameReport, LossReason, PoseEstimate, Status, Timings
+from .report import FrameReport, LossReason, PoseEstimate, Status, Timings, TrackReport
 from .sensors import Calibration, ImageSource, Packet
 from .window.keyframe import decide
 from .window.propagate import continue_from, predict
@@ -48,14 +48,13 @@ def start(calibration: Calibration) -> RunState:
 def step(
     params: Params, calibration: Calibration, images: ImageSource, state: RunState, packet: Packet
 ) -> tuple[RunState, FrameReport, Timings]:
-    """Track, integrate, decide; then initialise, or solve and slide.
+    """Track, then `advance`.
 
     Deterministic: the same arguments give the same state and report, bit for bit.
     """
     ms: Timings = {}
-    calibration = _scale_noise(params, calibration)
     with stopwatch(ms, "track"):
-        tracker, observations, tracks = track(
+        tracked = track(
             params.frontend,
             calibration.cameras[0],
             images,
@@ -63,6 +62,23 @@ def step(
             packet,
             {LossReason.OUTLIER: state.rejected_ids, LossReason.DEPTH: state.behind_ids},
         )
+    return advance(params, calibration, state, packet, tracked, ms)
+
+
+def advance(
+    params: Params,
+    calibration: Calibration,
+    state: RunState,
+    packet: Packet,
+    tracked: tuple[TrackerState, Observations, TrackReport],
+    ms: Timings,
+) -> tuple[RunState, FrameReport, Timings]:
+    """The estimator's half of a frame: integrate, decide; then initialise, or solve and slide.
+
+    `tracked` is what the front end made of the packet; a what-if may give what it made of it earlier.
+    """
+    calibration = _scale_noise(params, calibration)
+    tracker, observations, tracks = tracked
     tracking = state.status is Status.TRACKING
     previous = pose_of(state.window.frames[-1]) if tracking else None
     with stopwatch(ms, "preintegrate"):
