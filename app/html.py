@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -26,28 +27,34 @@ class Html(str):
 Child = str | float | int | None | Iterable["Child"]
 
 
+_SPECIAL = re.compile("""[&<>"']""")
+
+
 def text(value: Child) -> Html:
     """Markup of `value`: `Html` as it is, text escaped, sequences joined, None nothing."""
     if isinstance(value, Html):
         return value
+    if isinstance(value, str):
+        return Html(escape(value) if _SPECIAL.search(value) else value)
     if value is None:
         return Html("")
-    if isinstance(value, str | int | float):
-        return Html(escape(str(value), quote=True))
-    return Html("".join(map(text, value)))
+    if isinstance(value, int | float):
+        return text(str(value))
+    return Html("".join([text(part) for part in value]))
 
 
 _VOID = ("img", "br")
 
 
 def tag(name: str, *children: Child, **attributes: str | float | None) -> Html:
-    """`<name attributes>children</name>`; `cls` is class, `data_x` is data-x, an attribute None is left out."""
-    head = "".join(
-        f' {"class" if key == "cls" else key.replace("_", "-")}="{escape(str(value), quote=True)}"'
-        for key, value in attributes.items()
-        if value is not None and value != ""
-    )
-    return Html(f"<{name}{head}>" if name in _VOID else f"<{name}{head}>{text(children)}</{name}>")
+    """`<name attributes>children</name>`; `cls` is class, `data_x` is data-x, an attribute None or "" is left out."""
+    head = name
+    for key, value in attributes.items():
+        if value is not None and value != "":
+            head += f' {"class" if key == "cls" else key.replace("_", "-")}="{text(str(value))}"'
+    if name in _VOID:
+        return Html(f"<{head}>")
+    return Html(f"<{head}>{''.join([text(child) for child in children])}</{name}>")
 
 
 def panel(key: str, *children: Child) -> Html:
@@ -164,8 +171,8 @@ def swatch(colour: str, shape: str = "■") -> Html:
 def bar(share: float, colour: str, title: str = "") -> Html:
     """A horizontal bar filled to `share`, 0..1."""
     share = min(max(share, 0.0), 1.0) if math.isfinite(share) else 0.0
-    fill = tag("i", style=f"width:{share * 100:.1f}%;background:{colour}")
-    return tag("div", fill, cls="vi-bar", title=title)
+    said = f' title="{text(title)}"' if title else ""
+    return Html(f'<div class="vi-bar"{said}><i style="width:{share * 100:.1f}%;background:{text(colour)}"></i></div>')
 
 
 def stacked_bar(parts: Sequence[tuple[str, float, str]], whole: float | None = None) -> Html:
