@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -144,74 +146,93 @@ def _check(recording: Recording, calibration: Calibration, td_ns: int) -> ImageR
 
 
 def _packets(recording: Recording, params: Params, td_ns: int, start_ns: int, stop_ns: int | None) -> Iterator[Packet]:
-    image_stream, imu_stream = recording.stream(recording.image_topics[0]), recording.stream(recording.imu_topic)
-    camera_watch = image_watch(image_stream.topic, image_stream.rate_hz)
-    imu_watch = ImuWatch(imu_stream.topic, imu_stream.rate_hz)
-    control = FrequencyControl(params.frontend.freq, params.frontend.max_gap_s)
-    queue = ImuQueue()
-    waiting: list[ImageRef] = []  # images whose IMU has not come yet
-    early: list[ImageRef] = []  # images from before the IMU begins
-    images: list[ImageRef] = []  # images since the last frame
-    anomalies: list[Anomaly] = []
-    ready: Packet | None = None  # held back by one, so that what is found after the last frame is not lost
-    frame = 0
-
+    assembler = _Assembler(recording, params, td_ns)
+    held: Packet | None = None  # the newest packet, so that what is noticed after the last frame is not lost
     over = False
     for event in recording.events():
         if isinstance(event, ImuMessage):
-            if imu_watch.see_sample(event):
-                queue.append(event, imu_watch.after_gap)
+            assembler.add_sample(event)
         elif stop_ns is not None and event.t_ns > stop_ns:
             over = True
-        elif event.t_ns >= start_ns and camera_watch.see(event.t_ns):
-            waiting.append(event)
-        if over and not waiting:
+        elif event.t_ns >= start_ns:
+            assembler.add_image(event)
+        for packet in assembler.frames():
+            if held:
+                yield held
+            held = packet
+        if over and not assembler.waiting:
             break
-        if frame == 0:
-            oldest = waiting[0].t_ns + td_ns if waiting else event.t_ns
-            queue.forget_before(oldest - LEAD_IN_NS)
-        while waiting and queue.reaches(waiting[0].t_ns + td_ns):
-            image = waiting.pop(0)
-            anomalies += imu_watch.take() + camera_watch.take()
-            t_imu = image.t_ns + td_ns
-            if queue.starts_after(t_imu):
-                early.append(image)
-                continue
-            if early:
-                why = f"the IMU begins later; {len(early)} images are left out"
-                anomalies.append(_without_imu(early[0], image_stream.topic, why))
-                early = []
-            images.append(image)
-            if not control.is_due(image.t_ns):
-                continue
-            if queue.in_gap(t_imu):
-                anomalies.append(
-                    _without_imu(image, image_stream.topic, "samples are missing there; it is only tracked")
-                )
-                continue
-            control.publish(image.t_ns)
-            if ready:
-                yield ready
-            ready = Packet(frame, tuple(images), queue.cut(t_imu), tuple(anomalies))
-            frame += 1
-            images, anomalies = [], []
-
-    anomalies += imu_watch.take() + camera_watch.take()
-    if waiting:
-        anomalies.append(
-            _without_imu(waiting[0], image_stream.topic, f"it ends earlier; {len(waiting)} images are left out")
-        )
-    if ready is None:
+    if held is None:
+        imu, images = assembler.imu_stream, assembler.image_stream
         raise RecordingError(
-            f"{recording.path}: no image of {image_stream.topic} in the chosen time has IMU samples on both sides; "
-            f"{imu_stream.topic} covers {_span(imu_stream.first_ns, imu_stream.last_ns)}: "
-            "check --start, --duration and td"
+            f"{recording.path}: no image of {images.topic} in the chosen time has IMU samples on both sides; "
+            f"{imu.topic} covers {_span(imu.first_ns, imu.last_ns)}: check --start, --duration and td"
         )
-    yield Packet(ready.frame, ready.images, ready.imu, ready.anomalies + tuple(anomalies))
+    yield replace(held, anomalies=held.anomalies + assembler.last_words())
 
 
-def _without_imu(image: ImageRef, topic: str, why: str) -> Anomaly:
-    return Anomaly("no_imu", image.t_ns, topic, f"the image of {topic} at {image.t_ns} ns has no IMU: {why}")
+class _Assembler:
+    """Images wait here until the IMU has reached them; those that are frames leave as packets."""
+
+    def __init__(self, recording: Recording, params: Params, td_ns: int) -> None:
+        self.image_stream = recording.stream(recording.image_topics[0])
+        self.imu_stream = recording.stream(recording.imu_topic)
+        self.waiting: deque[ImageRef] = deque()
+        self._td_ns = td_ns
+        self._images_watch = image_watch(self.image_stream.topic, self.image_stream.rate_hz)
+        self._imu_watch = ImuWatch(self.imu_stream.topic, self.imu_stream.rate_hz)
+        self._control = FrequencyControl(params.frontend.freq, params.frontend.max_gap_s)
+        self._imu = ImuQueue()
+        self._early: list[ImageRef] = []  # images from before the IMU begins
+        self._images: list[ImageRef] = []  # images since the last frame
+        self._anomalies: list[Anomaly] = []
+        self._frame = 0
+
+    def add_sample(self, sample: ImuMessage) -> None:
+        if self._imu_watch.see_sample(sample):
+            self._imu.append(sample, self._imu_watch.after_gap)
+        if self._frame == 0:
+            oldest = self.waiting[0].t_ns + self._td_ns if self.waiting else sample.t_ns
+            self._imu.forget_before(oldest - LEAD_IN_NS)
+
+    def add_image(self, image: ImageRef) -> None:
+        if image.camera == 0 and self._images_watch.see(image.t_ns):
+            self.waiting.append(image)
+
+    def frames(self) -> Iterator[Packet]:
+        """Packets of the waiting images that the IMU has reached."""
+        while self.waiting and self._imu.reaches(self.waiting[0].t_ns + self._td_ns):
+            image = self.waiting.popleft()
+            self._anomalies += self._imu_watch.take() + self._images_watch.take()
+            t_imu = image.t_ns + self._td_ns
+            if self._imu.starts_after(t_imu):
+                self._early.append(image)
+                continue
+            if self._early:
+                self._tell(self._early[0], f"the IMU begins later; {len(self._early)} images are left out")
+                self._early.clear()
+            self._images.append(image)
+            if not self._control.is_due(image.t_ns):
+                continue
+            if self._imu.in_gap(t_imu):
+                self._tell(image, "samples are missing there; it is only tracked")
+                continue
+            self._control.publish(image.t_ns)
+            yield Packet(self._frame, tuple(self._images), self._imu.cut(t_imu), tuple(self._anomalies))
+            self._frame += 1
+            self._images, self._anomalies = [], []
+
+    def last_words(self) -> tuple[Anomaly, ...]:
+        """What was noticed after the last frame."""
+        self._anomalies += self._imu_watch.take() + self._images_watch.take()
+        if self.waiting:
+            self._tell(self.waiting[0], f"it ends earlier; {len(self.waiting)} images are left out")
+        return tuple(self._anomalies)
+
+    def _tell(self, image: ImageRef, why: str) -> None:
+        topic = self.image_stream.topic
+        text = f"the image of {topic} at {image.t_ns} ns has no IMU: {why}"
+        self._anomalies.append(Anomaly("no_imu", image.t_ns, topic, text))
 
 
 def _span(first_ns: int | None, last_ns: int | None) -> str:
