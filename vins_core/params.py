@@ -105,8 +105,8 @@ class Init:
         float, Range(0, 50), Doc("mean parallax left after the best rotation (parity: 0)", "px460")
     ] = 3.0
     ransac_px: Annotated[
-        float, Range(0.05, 5), Doc("relative pose: largest distance to the epipolar line", "px460")
-    ] = 0.3
+        float, Range(0.05, 5), Doc("relative pose: largest distance to the epipolar line (parity: 0.3)", "px460")
+    ] = 1.0
     min_pose_inliers: Annotated[int, Range(5, 100), Doc("relative pose: points in front of both cameras")] = 13
     min_pnp_points: Annotated[int, Range(5, 50), Doc("structure: points needed to place a frame")] = 10
     max_structure_cost: Annotated[
@@ -130,7 +130,7 @@ class Init:
         float,
         Range(0.001, 2),
         Doc("how far from zero the accelerometer bias may be; stays as the first prior of the window", "m/s^2"),
-    ] = 0.1
+    ] = 0.2
     max_scale_sigma: Annotated[
         float, Range(0.001, 10), Doc("relative standard deviation of the scale after refinement")
     ] = 0.1

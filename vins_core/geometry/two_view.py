@@ -40,7 +40,7 @@ def estimate_relative_pose(
         return None
     plane_a, plane_b = (r[forward, :2] / r[forward, 2:] for r in (rays_a, rays_b))
     E, _ = cv2.findEssentialMat(
-        plane_b, plane_a, np.eye(3), method=cv2.RANSAC, prob=confidence, threshold=threshold_rad, maxIters=1000
+        plane_b, plane_a, np.eye(3), method=cv2.USAC_ACCURATE, prob=confidence, threshold=threshold_rad, maxIters=1000
     )
     if E is None or E.shape != (3, 3):
         return None

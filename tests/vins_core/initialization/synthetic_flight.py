@@ -40,10 +40,10 @@ class Motion:
 
 
 def lively(seed: int = 0) -> Motion:
-    """Hand-held motion: half a metre of swings at around 1 Hz while moving on, 20 degrees of turning."""
+    """Hand-held motion: swings of 5-12 cm at around 1 Hz while moving on, 20 degrees of turning."""
     rng = np.random.default_rng(seed)
     f, phase = rng.uniform(0.5, 1.1, 6), rng.uniform(0, 2 * np.pi, 6)
-    amplitude, drift = rng.uniform(0.15, 0.3, 3), rng.uniform(-0.3, 0.3, 3)
+    amplitude, drift = rng.uniform(0.05, 0.12, 3), rng.uniform(-0.4, 0.4, 3)
     angles = rng.uniform(0.05, 0.2, 3)
     return Motion(
         lambda t: amplitude * np.sin(2 * np.pi * f[:3] * t + phase[:3]) + drift * t,
@@ -101,13 +101,14 @@ def fly(
     n_points: int = 150,
     T_b_c: np.ndarray = T_B_C,
     believed_T_b_c: np.ndarray | None = None,
+    world: Callable[[np.ndarray], np.ndarray] = lambda points: points,
 ) -> Flight:
     """`skip`: images (counted from 0) that the window did not keep; they are in the history all the same."""
     rng = np.random.default_rng(seed + 1000)
     b_a = np.zeros(3) if b_a is None else b_a
     n_frames = n_window + len(skip)
     times = frame_s * np.arange(n_frames)
-    points = rng.uniform([2.0, -3.0, -2.0], [6.0, 3.0, 2.0], (n_points, 3))
+    points = world(rng.uniform([2.0, -3.0, -2.0], [6.0, 3.0, 2.0], (n_points, 3)))
     believed = T_b_c if believed_T_b_c is None else believed_T_b_c
 
     frames = []
