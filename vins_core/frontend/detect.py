@@ -14,12 +14,13 @@ def keep_spaced(uv_px: np.ndarray, min_dist: float, usable: np.ndarray | None) -
     A track goes when it lies outside the usable area or within `min_dist` of a kept track before it.
     """
     free = np.ones(len(uv_px), bool) if usable is None else usable[tuple(np.rint(uv_px).astype(int).T[::-1])] > 0
-    near = np.square(uv_px[:, None] - uv_px[None]).sum(-1) <= min_dist**2
+    u, v = uv_px.T
+    apart = np.square(u[:, None] - u) + np.square(v[:, None] - v) > min_dist**2
     keep = np.zeros(len(uv_px), bool)
     for i in range(len(uv_px)):
         if free[i]:
             keep[i] = True
-            free &= ~near[i]
+            free &= apart[i]
     return keep
 
 

@@ -67,8 +67,8 @@ class TrackLedger:
         ids, uv_px, age, fate = (np.concatenate(column) for column in zip(*self._lost))
         return ids, uv_px, age, fate
 
-    def count_lost(self, *reasons: LossReason) -> int:
-        return sum(int(np.isin(fate, [FATES[r] for r in reasons]).sum()) for *_, fate in self._lost)
+    def count_lost(self, reason: LossReason) -> int:
+        return sum(int((fate == FATES[reason]).sum()) for *_, fate in self._lost)
 
     def state_at_frame(self) -> TrackerState:
         """The state a frame leaves: the next frame's F-RANSAC compares with where the tracks are now."""
