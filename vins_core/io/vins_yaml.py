@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from ..errors import CalibrationError
@@ -61,7 +62,7 @@ def recognizes(keys: Keys) -> bool:
 def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
     """Calibration, overrides and notes of a config; the camera named beside it for VINS-Fusion."""
     notes: list[str] = []
-    camera = _fusion_camera(keys, notes) if "cam0_calib" in keys else _mono_camera(keys)
+    camera = _fusion_camera(keys, notes) if "cam0_calib" in keys else _mono_camera(keys, notes)
     noise = ImuNoise(
         "discrete",
         acc_n=keys.number("acc_n", "accelerometer noise in m/s^2", positive=True),
@@ -82,12 +83,12 @@ def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
     return calibration, overrides, tuple(notes)
 
 
-def _mono_camera(keys: Keys) -> CameraCalibration:
+def _mono_camera(keys: Keys, notes: list[str]) -> CameraCalibration:
     R = keys.matrix("extrinsicRotation", 3, 3, "the rotation from camera to IMU")
     t = keys.matrix("extrinsicTranslation", 3, 1, "the camera's position in the IMU frame in m")
     T_b_c = rigid(R, t[:, 0], keys, "extrinsicRotation")
     return CameraCalibration(
-        "cam0", camera_model(keys), T_b_c, keys.text("image_topic", "the camera's topic"), _mask(keys)
+        "cam0", camera_model(keys), T_b_c, keys.text("image_topic", "the camera's topic"), _mask(keys, notes)
     )
 
 
@@ -101,7 +102,7 @@ def _fusion_camera(keys: Keys, notes: list[str]) -> CameraCalibration:
         notes.append("num_of_cam: stereo is not supported yet, cam0 alone is used")
     keys.used |= {"image1_topic", "cam1_calib", "body_T_cam1", "image_width", "image_height"}
     topic = keys.text("image0_topic", "the camera's topic")
-    return CameraCalibration("cam0", camera_model(camera), T_b_c, topic, _mask(keys))
+    return CameraCalibration("cam0", camera_model(camera), T_b_c, topic, _mask(keys, notes))
 
 
 def camera_model(keys: Keys) -> CameraModel:
@@ -131,17 +132,18 @@ def camera_model(keys: Keys) -> CameraModel:
     raise CalibrationError(f"{keys.path}: key model_type: unknown camera model {kind!r}; known are {known}")
 
 
-def _mask(keys: Keys) -> str:
-    """The fisheye mask beside the config (VINS looks for config/fisheye_mask.jpg)."""
-    if "fisheye" not in keys or not keys.integer("fisheye", "0 or 1"):
+def _mask(keys: Keys, notes: list[str]) -> str:
+    """The fisheye mask that the config names, or VINS' config/fisheye_mask.jpg; also looked for beside the config."""
+    keys.used |= {"fisheye", "fisheye_mask", "fisheye_mask_path"}
+    if not keys.content.get("fisheye"):
         return ""
-    name = keys.text("fisheye_mask", "a file name") if "fisheye_mask" in keys else "fisheye_mask.jpg"
-    for candidate in (keys.path.parent / name, keys.path.parent.parent / name):
+    said = keys.content.get("fisheye_mask") or keys.content.get("fisheye_mask_path") or "fisheye_mask.jpg"
+    folder, named = keys.path.parent, Path(str(said))
+    for candidate in (folder / named, folder / named.name, folder.parent / named.name):
         if candidate.is_file():
             return str(candidate)
-    raise CalibrationError(
-        f"{keys.path}: key fisheye is 1 but {keys.path.parent / name} does not exist; put the mask there"
-    )
+    notes.append(f"fisheye: no mask {folder / named.name} there, the whole image is used")
+    return ""
 
 
 def _tuning(keys: Keys, notes: list[str]) -> dict[str, Any]:

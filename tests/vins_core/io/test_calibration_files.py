@@ -254,9 +254,10 @@ def test_a_camera_file_alone_is_not_enough(tmp_path: Path) -> None:
         read(tmp_path, CAMERA_BLOCK)
 
 
-def test_a_fisheye_mask_must_be_there(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"key fisheye is 1 but .*fisheye_mask.jpg does not exist"):
-        read(tmp_path, VINS_MONO + "fisheye: 1\n")
+def test_a_fisheye_mask_is_found_or_its_absence_noted(tmp_path: Path) -> None:
+    missing = read(tmp_path, VINS_MONO + 'fisheye: 1\nfisheye_mask_path: "/gone/mask.png"\n')
+    assert missing.calibration.cameras[0].mask == ""
+    assert any(note.startswith("fisheye: no mask") and "mask.png" in note for note in missing.notes)
     (tmp_path / "fisheye_mask.jpg").write_bytes(b"")
     assert read(tmp_path, VINS_MONO + "fisheye: 1\n").calibration.cameras[0].mask == str(tmp_path / "fisheye_mask.jpg")
 
