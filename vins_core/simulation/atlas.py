@@ -16,14 +16,15 @@ from .world import World
 
 TAPS = 3  # along the long axis of the footprint
 SHARPNESS = 0.7  # width of the filter in pixels; below 0.5 corners would flicker
-WIDTH_PX = 4096  # of the atlas
+WIDTH_PX = 4096  # of the atlas, at least
 
 
 @dataclass(frozen=True)
 class Atlas:
-    image: np.ndarray  # (rows, WIDTH_PX) uint8
+    image: np.ndarray  # (rows, columns) uint8
     corner: np.ndarray  # (2, surfaces, levels) x, y of each level's top left texel
     size: np.ndarray  # (2, surfaces, levels) columns, rows
+    top: np.ndarray  # (surfaces,) the coarsest level; what follows it is padding
     texels_per_m: np.ndarray  # (surfaces, 2) at level 0, along right and down
     origin_w: np.ndarray  # (surfaces, 3)
     axes_w: np.ndarray  # (surfaces, 2, 3) right and down
@@ -32,14 +33,15 @@ class Atlas:
     def of(world: World) -> Atlas:
         surfaces = world.surfaces()
         pyramids = [_mip_map(texture) for texture in world.textures()]
-        levels = max(len(p) for p in pyramids)
-        pyramids = [p + [p[-1]] * (levels - len(p)) for p in pyramids]
+        top = np.array([len(p) - 1 for p in pyramids])
+        pyramids = [p + [p[-1]] * (top.max() + 1 - len(p)) for p in pyramids]
         size = np.array([[level.shape[::-1] for level in p] for p in pyramids])
         image, corner = _pack([level for p in pyramids for level in p])
         return Atlas(
             image,
             np.moveaxis(corner.reshape(size.shape), -1, 0).astype(np.float32),
             np.moveaxis(size, -1, 0).astype(np.float32),
+            top,
             (size[:, 0] / surfaces.size_m).astype(np.float32),
             surfaces.origin_w,
             np.stack([surfaces.right_w, surfaces.down_w], 1),
@@ -63,9 +65,10 @@ class Atlas:
         level = np.log2(np.maximum(width, 1))
         step = slope * (along / (TAPS * np.maximum(sine, np.float32(1e-6)))) * scale
         first = place * scale - step * np.float32((TAPS - 1) / 2)
-        low = np.minimum(level.astype(np.intp), self.size.shape[2] - 2)
+        low = np.minimum(level.astype(np.intp), self.top[surface])
+        high = np.minimum(low + 1, self.top[surface])
         share = np.minimum(level - low, 1)
-        return (1 - share) * self._probe(surface, low, first, step) + share * self._probe(surface, low + 1, first, step)
+        return (1 - share) * self._probe(surface, low, first, step) + share * self._probe(surface, high, first, step)
 
     def _start(self, origin_w: np.ndarray, surface: np.ndarray) -> np.ndarray:
         if np.ndim(origin_w) == 1:
@@ -109,14 +112,15 @@ def _mip_map(texture: np.ndarray) -> list[np.ndarray]:
 
 def _pack(tiles: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Tiles side by side on shelves, the highest first: the image and the corners (tiles, 2) x, y."""
+    width = max(WIDTH_PX, *(tile.shape[1] for tile in tiles))
     corner = np.zeros((len(tiles), 2), np.intp)
     x = y = shelf = 0
     for index in sorted(range(len(tiles)), key=lambda i: -tiles[i].shape[0]):
         rows, columns = tiles[index].shape
-        if x + columns > WIDTH_PX:
+        if x + columns > width:
             x, y, shelf = 0, y + shelf, 0
         corner[index], x, shelf = (x, y), x + columns, max(shelf, rows)
-    image = np.zeros((y + shelf, WIDTH_PX), np.uint8)
+    image = np.zeros((y + shelf, width), np.uint8)
     for (x, y), tile in zip(corner, tiles):
         image[y : y + tile.shape[0], x : x + tile.shape[1]] = tile
     return image, corner

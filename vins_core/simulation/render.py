@@ -31,12 +31,13 @@ class Renderer:
 
     def render(self, T_w_c: np.ndarray) -> np.ndarray:
         """(rows, columns) float32 grey values 0-255.  `T_w_c` is (4, 4), or (rows, 4, 4) for a rolling shutter."""
-        T = np.broadcast_to(T_w_c, (self.shape[0], 4, 4)) if T_w_c.ndim == 2 else T_w_c
+        T = np.broadcast_to(T_w_c, (self.shape[0], 4, 4))
         R, origin = T[:, :3, :3].astype(np.float32), T[:, :3, 3]
-        moving = T_w_c.ndim == 3
-        rays = np.einsum("rij,rcj->rci", R, self._rays) if moving else self._rays @ R[0].T
+        if T_w_c.ndim == 2:
+            rays, start = self._rays @ R[0].T, origin[0]
+        else:
+            rays, start = np.einsum("rij,rcj->rci", R, self._rays), np.repeat(origin, self.shape[1], 0)
         rays = rays.reshape(-1, 3)
-        start = np.repeat(origin, self.shape[1], 0) if moving else origin[0]
         surface, distance = hits(self.world, start, rays)
         grey = self._atlas.shade(start, rays, surface, distance, self._pixel_rad.ravel())
         edge = np.flatnonzero(_is_edge(surface.reshape(self.shape)).ravel())
