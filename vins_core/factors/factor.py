@@ -135,7 +135,7 @@ class TapeBatch(Batch):
         self.data = np.empty((factor.n_data, n))
         self.system = np.empty((columns, rows, n))
         output = self.system.reshape(columns * rows, n)
-        self._run = _tape(factor, active, uniform).bind([*self.inputs, self.data], [output], n)
+        self._run = _tape(factor, active, uniform).bind([*self.inputs, self.data], output)
 
     def evaluate(self) -> None:
         self._run()

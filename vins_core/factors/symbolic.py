@@ -33,10 +33,11 @@ def conjugate(q: ca.SX) -> ca.SX:
 def rotation_matrix(q: ca.SX) -> ca.SX:
     """R(q) of a unit quaternion, (3, 3)."""
     w, x, y, z = ca.vertsplit(q)
+    x2, y2, z2 = x + x, y + y, z + z
     return ca.vertcat(
-        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        ca.horzcat(1 - (y * y2 + z * z2), x * y2 - w * z2, x * z2 + w * y2),
+        ca.horzcat(x * y2 + w * z2, 1 - (x * x2 + z * z2), y * z2 - w * x2),
+        ca.horzcat(x * z2 - w * y2, y * z2 + w * x2, 1 - (x * x2 + y * y2)),
     )
 
 

@@ -2,8 +2,8 @@
 
 CasADi lists a function as scalar instructions over numbered registers.  Here every register is a vector with one lane
 per row of the batch, and every instruction one NumPy call into preallocated memory.  Inputs are read in place,
-results of the last instruction go straight to the output, and what depends only on uniform inputs (the same for
-every row) stays plain Python floats.
+results are written straight to the output, and what depends only on uniform inputs (the same for every row) stays
+plain Python floats.
 """
 
 from __future__ import annotations
@@ -47,67 +47,79 @@ _SCALAR = {
 }
 
 
+_NAMES = ("add", "subtract", "multiply", "divide", "maximum", "minimum", "negative", "sqrt", "sin", "cos")
+
+
 @dataclass(frozen=True)
 class Tape:
-    """The program of one function: `source` defines run(inputs, outputs, work)."""
+    """The program of a function with one output: `source` defines run(inputs, output, work)."""
 
     source: str
     n_registers: int
-    program: Callable[[Sequence[np.ndarray], Sequence[np.ndarray], np.ndarray], None]
+    program: Callable[[Sequence[np.ndarray], np.ndarray, np.ndarray], None]
 
-    def bind(self, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], lanes: int) -> Callable[[], None]:
-        """A call without arguments that reads `inputs` and fills `outputs` each time."""
-        work = np.empty((self.n_registers, lanes))
+    def bind(self, inputs: Sequence[np.ndarray], output: np.ndarray) -> Callable[[], None]:
+        """A call without arguments that reads `inputs` (size, lanes) and fills `output` (size, lanes) each time."""
+        work = np.empty((self.n_registers, output.shape[1]))
         program = self.program
 
         def run() -> None:
-            program(inputs, outputs, work)
+            program(inputs, output, work)
 
         return run
 
 
 def record(f: ca.Function, uniform: tuple[int, ...] = ()) -> Tape:
     """Translate `f`; `uniform` are the inputs that have one value for all lanes."""
-    instructions = [
-        (f.instruction_id(k), f.instruction_input(k), f.instruction_output(k), k) for k in range(f.n_instructions())
-    ]
-    value: dict[int, str] = {}  # register -> the Python name that holds it
-    vectors: set[str] = set()
+    count = range(f.n_instructions())
+    instructions = [(f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)) for k in count]
+    destination = _destinations(instructions)
+    held: dict[int, str] = {}  # register -> the Python expression of its value
+    vectors = {f"i{k}_{j}" for k in range(f.n_in()) if k not in uniform for j in range(f.nnz_in(k))}
     body: list[str] = []
-    n_scalars = 0
-    for op, args, result, k in instructions:
+    for k, (op, args, result) in enumerate(instructions):
         if op == ca.OP_INPUT:
             name = f"i{args[0]}_{args[1]}"
-            if args[0] not in uniform:
-                vectors.add(name)
         elif op == ca.OP_CONST:
             name = repr(float(f.instruction_constant(k)))
         elif op == ca.OP_OUTPUT:
-            body.append(f"o{result[0]}[{result[1]}] = {value[args[0]]}")
+            if held[args[0]] != f"o{result[1]}":
+                body.append(f"o{result[1]}[:] = {held[args[0]]}")
             continue
+        elif op not in _VECTOR:
+            raise NotImplementedError(f"{f.name()}: CasADi operation {op} has no NumPy form on the tape")
         else:
-            operands = [value[a] for a in args]
-            if any(o in vectors for o in operands):
-                name = f"w{result[0]}"
+            operands = [held[a] for a in args]
+            if vectors.isdisjoint(operands):
+                name = f"u{k}"
+                body.append(f"{name} = " + _SCALAR[op].format(*(f"({o})" for o in operands)))
+            else:
+                name = destination.get(k, f"w{result[0]}")
                 vectors.add(name)
                 body.append(_VECTOR[op].format(*operands, out=name))
-            else:
-                name, n_scalars = f"u{n_scalars}", n_scalars + 1
-                body.append(f"{name} = " + _SCALAR[op].format(*(f"({o})" for o in operands)))
-        value[result[0]] = name
+        held[result[0]] = name
 
-    registers = sorted((v for v in vectors if v[0] == "w"), key=lambda v: int(v[1:]))
-    head = [
-        ", ".join(f"i{k}_{j}" for j in range(f.nnz_in(k))) + f", = inputs[{k}]" + (".tolist()" if k in uniform else "")
+    registers = sorted(v for v in vectors if v[0] == "w")
+    unpack = [
+        "".join(f"i{k}_{j}, " for j in range(f.nnz_in(k))) + f"= inputs[{k}]" + (".tolist()" if k in uniform else "")
         for k in range(f.n_in())
     ]
-    head += [", ".join(f"o{k}" for k in range(f.n_out())) + ", = outputs"]
-    head += [", ".join(registers) + ", = work"] if registers else []
-    source = "def run(inputs, outputs, work):\n" + "\n".join(f"    {line}" for line in head + body)
-    scope = {
-        name: getattr(np, name)
-        for name in ("add", "subtract", "multiply", "divide", "maximum", "minimum", "negative", "sqrt", "sin", "cos")
-    }
-    scope["math"] = math
+    unpack.append("".join(f"o{j}, " for j in range(f.nnz_out(0))) + "= output")
+    if registers:
+        unpack.append("".join(f"{w}, " for w in registers) + "= work")
+    source = "def run(inputs, output, work):\n" + "\n".join(f"    {line}" for line in unpack + body)
+    scope = {"math": math} | {name: getattr(np, name) for name in _NAMES}
     exec(compile(source, f"<tape of {f.name()}>", "exec"), scope)  # our own residual, never text from outside
     return Tape(source, len(registers), scope["run"])
+
+
+def _destinations(instructions: list[tuple[int, list[int], list[int]]]) -> dict[int, str]:
+    """Instruction -> the output row that its result is for, so that it can be computed there."""
+    defined: dict[int, int] = {}  # register -> instruction that filled it last
+    rows: dict[int, str] = {}
+    for k, (op, args, result) in enumerate(instructions):
+        if op == ca.OP_OUTPUT:
+            rows.setdefault(defined[args[0]], f"o{result[1]}")
+        else:
+            defined[result[0]] = k
+    return rows

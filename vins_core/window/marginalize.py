@@ -21,8 +21,10 @@ from scipy.linalg import lapack, qr, solve_triangular
 from ..params import Params
 from ..report import BlockReport, MarginalizationReport
 from ..solver import schur
-from ..solver.layout import Block
+from ..solver.inertial_term import InertialTerm
+from ..solver.layout import Block, Layout
 from ..solver.linearize import Linearizer
+from ..solver.prior_term import PriorTerm
 from ..solver.problem import WindowProblem
 from .assemble import assemble
 from .state import BlockKey, Prior, WindowState
@@ -84,10 +86,15 @@ def _marginalize(
     touched = _touched(problem)
     dropped = [b for b in dropped if b in touched]
     kept = [b for b in touched if b not in dropped]
-    linearizer = Linearizer(problem)
-    J, r = _rows(linearizer, problem, params.marginalization.eigen_threshold)
-    m, k = linearizer.layout.columns_of(dropped), linearizer.layout.columns_of(kept)
-    J, r = _eliminate(J[:, m], J[:, k], r)
+    frames = [f.frame for f in window.frames]
+    blocks = _reports(frames, dropped, landmark_ids, kept)
+    m, n = (sum(b.size for b in blocks if b.dropped is gone) for gone in (True, False))
+    if not kept:
+        return None, MarginalizationReport(kind, m, n, blocks, 0, np.zeros(0))
+
+    layout = Layout(problem.n_frames, len(problem.initial.extrinsics))
+    J, r = _rows(problem, layout, params.marginalization.eigen_threshold)
+    J, r = _eliminate(J[:, layout.columns_of(dropped)], J[:, layout.columns_of(kept)], r)
 
     U, singular, Vt = np.linalg.svd(J)
     eigenvalues = singular**2
@@ -95,30 +102,27 @@ def _marginalize(
     J = np.where(informative, singular, 0.0)[:, None] * Vt
     r = np.where(informative, U.T @ r, 0.0)
 
-    frames = [f.frame for f in window.frames]
     keys = tuple(BlockKey(b.kind, b.slot if b.kind == "extrinsic" else frames[b.slot]) for b in kept)
     prior = Prior(keys, tuple(problem.initial.value(b).copy() for b in kept), J, r)
-    reports = _reports(frames, dropped, landmark_ids, kept)
-    size_m = sum(report.size for report in reports if report.dropped)
-    return prior, MarginalizationReport(kind, size_m, len(k), reports, int(informative.sum()), eigenvalues[::-1])
+    return prior, MarginalizationReport(kind, m, n, blocks, int(informative.sum()), eigenvalues[::-1])
 
 
-def _rows(linearizer: Linearizer, problem: WindowProblem, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+def _rows(problem: WindowProblem, layout: Layout, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """J (rows, D) and r (rows,) of the prior, the IMU factor, and what the landmarks leave."""
-    states, size = problem.initial, linearizer.layout.size
+    states, P = problem.initial, layout.visual
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    if linearizer.prior:
-        parts.append((*linearizer.prior.rows(states), linearizer.prior.columns[0]))
-    if linearizer.inertial:
-        r, J = linearizer.inertial.rows(states)
-        parts += [(r[0], J[0], linearizer.inertial.columns[0])]
-    if linearizer.visual:
+    if problem.prior:
+        prior = PriorTerm(problem.prior, layout)
+        parts.append((*prior.rows(states), prior.columns[0]))
+    if problem.imu:
+        inertial = InertialTerm(problem, layout)
+        r, J = inertial.rows(states)
+        parts.append((r[0], J[0], inertial.columns[0]))
+    if len(problem.projections):
         seen = Linearizer(replace(problem, imu=(), prior=None)).linearize(states)
         S, b = schur.eliminate(seen, np.where(seen.h > threshold, seen.h, 0.0))
-        P = linearizer.layout.visual
         parts.append((*_square_root(S[:P, :P], b[:P]), np.arange(P)))
-    J = np.zeros((sum(len(r) for r, _, _ in parts), size))
-    row = 0
+    J, row = np.zeros((sum(len(r) for r, _, _ in parts), layout.size)), 0
     for r, J_part, columns in parts:
         J[row : row + len(r), columns] = J_part
         row += len(r)
@@ -128,11 +132,10 @@ def _rows(linearizer: Linearizer, problem: WindowProblem, threshold: float) -> t
 def _square_root(A: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(r, J) with J'J = A and J'r = b, for a positive semi-definite A, by Cholesky with pivoting."""
     L, pivot, rank, _ = lapack.dpstrf(A, lower=1)
-    pivot = pivot[:rank] - 1, np.append(pivot[:rank], pivot[rank:]) - 1
+    pivot = pivot - 1
     J = np.zeros((rank, len(A)))
-    J[:, pivot[1]] = np.tril(L)[:, :rank].T
-    r = solve_triangular(L[:rank, :rank], b[pivot[0]], lower=True, check_finite=False)
-    return r, J
+    J[:, pivot] = np.tril(L)[:, :rank].T
+    return solve_triangular(L[:rank, :rank], b[pivot[:rank]], lower=True, check_finite=False), J
 
 
 def _eliminate(J_m: np.ndarray, J_k: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,9 +149,10 @@ def _eliminate(J_m: np.ndarray, J_k: np.ndarray, r: np.ndarray) -> tuple[np.ndar
     rank = int(np.sum(np.abs(R.diagonal()) > 1e-12))
     rest = Q[:, rank:].T @ np.column_stack([J_k, r])
     n = J_k.shape[1]
-    (R,) = qr(rest, mode="r", check_finite=False)
     square = np.zeros((n, n + 1))
-    square[: min(n, len(R))] = R[:n]
+    if len(rest):
+        (R,) = qr(rest, mode="r", check_finite=False)
+        square[: min(n, len(R))] = R[:n]
     return square[:, :n], square[:, n]
 
 

@@ -11,7 +11,7 @@ from vins_core.params import Params
 from vins_core.solver.layout import Block
 from vins_core.window.assemble import assemble
 from vins_core.window.marginalize import marginalize_oldest, marginalize_second_newest
-from vins_core.window.state import OUTLIER, BlockKey, Observations
+from vins_core.window.state import OUTLIER, BlockKey, Landmarks, Observations, Prior
 
 FORMS = ("plane", "sphere")
 
@@ -178,6 +178,31 @@ def test_a_missing_imu_factor_leaves_the_speed_bias_out():
     prior, report = marginalize_oldest(Params(), replace(window, frames=tuple(frames)), sw.GRAVITY)
     assert not any(b.kind == "speed_bias" for b in prior.blocks)
     assert report.m == 48 and report.n == 66
+
+
+def test_nothing_known_of_what_stays_gives_no_prior():
+    window = seed_example()
+    frames = list(window.frames)
+    frames[1] = replace(frames[1], imu=replace(frames[1].imu, dt_s=99.0))
+    bare = replace(window, frames=tuple(frames), landmarks=Landmarks.empty())
+    prior, report = marginalize_oldest(Params(), bare, sw.GRAVITY)
+    assert prior is None and (report.m, report.n) == (0, 0)
+
+
+def test_a_prior_on_one_bias_is_enough_to_start_from():
+    window = seed_example()
+    key = BlockKey("speed_bias", window.frames[0].frame)
+    first = window.frames[0]
+    x0 = np.concatenate([first.v_w_b, first.b_a + 0.1, first.b_g])
+    J = np.zeros((3, 9))
+    J[:, 3:6] = 10 * np.eye(3)
+    start = Prior((key,), (x0,), J, np.zeros(3))
+    _, without = marginalize_oldest(Params(), window, sw.GRAVITY)
+    prior, report = marginalize_oldest(Params(), replace(window, prior=start), sw.GRAVITY)
+    assert report.n == without.n and report.rank == without.rank + 3
+    step = dense.step(assemble(Params(), replace(window, prior=start), sw.GRAVITY).problem, held_slot=0)
+    assert all(np.isfinite(d).all() for d in step.values())
+    assert prior.J.shape == (75, 75)
 
 
 def test_same_window_gives_the_same_bits():
