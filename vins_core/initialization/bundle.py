@@ -57,8 +57,8 @@ class NormalEquations:
 
     def reduce(self, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Schur complement: (S, s, V^-1) with S d = -s for the dense part."""
-        V = self.V + damping * self.V * np.eye(3) + 1e-12 * np.eye(3)
-        V_inv = np.linalg.inv(V)
+        size = np.trace(self.V, axis1=1, axis2=2)[:, None, None]
+        V_inv = np.linalg.inv(self.V + (damping * self.V + 1e-9 * size + 1e-12) * np.eye(3))
         n = len(self.g)
         VW = (V_inv @ self.W).reshape(-1, n)
         W = self.W.reshape(-1, n)

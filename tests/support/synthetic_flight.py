@@ -78,6 +78,7 @@ class Flight:
     calibration: Calibration
     window: WindowState
     history: tuple[WindowFrame, ...]
+    points: np.ndarray  # (n, 3) world points, by track id
 
     def window_times(self) -> np.ndarray:
         return np.array([f.t_ns * 1e-9 for f in self.window.frames])
@@ -102,6 +103,7 @@ def fly(
     T_b_c: np.ndarray = T_B_C,
     believed_T_b_c: np.ndarray | None = None,
     world: Callable[[np.ndarray], np.ndarray] = lambda points: points,
+    accel_unit: float = 1.0,
 ) -> Flight:
     """`skip`: images (counted from 0) that the window did not keep; they are in the history all the same."""
     rng = np.random.default_rng(seed + 1000)
@@ -126,6 +128,7 @@ def fly(
         imu = None
         if k:
             samples = _imu(motion, times[k - 1], t, b_g, b_a, rng if imu_noise else None)
+            samples = replace(samples, accel_m_s2=samples.accel_m_s2 / accel_unit)
             imu = preintegrate(samples, np.zeros(3), np.zeros(3), NOISE)
         zero = np.zeros(3)
         frames.append(
@@ -141,7 +144,7 @@ def fly(
             pending = None
     window = WindowState(tuple(kept), Landmarks.empty(), None, believed[None])
     calibration = Calibration((CameraCalibration("cam0", _AnyCamera(), believed),), NOISE, G)
-    return Flight(motion, times, calibration, window, tuple(frames))
+    return Flight(motion, times, calibration, window, tuple(frames), points)
 
 
 def _imu(
