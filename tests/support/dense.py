@@ -28,7 +28,7 @@ def jacobian(problem: WindowProblem) -> tuple[np.ndarray, np.ndarray, Linearizer
         for r_k, J_k, columns in zip(*linearizer.inertial.rows(states), linearizer.inertial.columns):
             add(r_k, J_k, columns)
     if visual := linearizer.visual:
-        system, _ = visual.rows(states)
+        system, *_ = visual.rows(states)
         columns = np.column_stack([visual.columns[visual.pair], D + visual.table.landmark])
         for row in range(2):
             add(system[-1, row].copy(), system[:-1, row].T, columns)

@@ -30,14 +30,10 @@ class InertialTerm:
         whitened = self._whitening @ batch.system.transpose(2, 1, 0)
         return whitened[:, :, -1], whitened[:, :, :-1]
 
-    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> float:
-        """Fills J'J (K, 30, 30) and J'r (K, 30) of every factor; returns the cost."""
+    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> tuple[float, np.ndarray]:
+        """Fills J'J (K, 30, 30) and J'r (K, 30) of every factor; returns cost and whitened residuals (K, 15)."""
         r, J = self.rows(states)
         J_t = J.transpose(0, 2, 1)
         np.matmul(J_t, J, JtJ)
         np.matmul(J_t, r[:, :, None], Jtr[:, :, None])
-        return 0.5 * float(np.vdot(r, r))
-
-    def residuals(self, states: States) -> np.ndarray:
-        """(K, 15) whitened."""
-        return self.rows(states)[0]
+        return 0.5 * float(np.vdot(r, r)), r

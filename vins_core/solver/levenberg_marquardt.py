@@ -20,10 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .. import params
-from ..geometry import so3
 from ..report import CostSplit, IterationReport
 from . import schur
-from .linearize import Linearizer, NormalEquations, Residuals
+from .linearize import Linearizer, NormalEquations
 from .problem import States, WindowProblem
 
 GAUGE_INFORMATION = 1e8
@@ -46,7 +45,6 @@ class Iteration:
 class Solution:
     states: States
     system: NormalEquations  # at `states`
-    residuals: Residuals  # at `states`
     before: CostSplit
     after: CostSplit
     iterations: tuple[IterationReport, ...]
@@ -89,7 +87,8 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
 
 def gauge_damping(pose: np.ndarray) -> np.ndarray:
     """(6, 6) on the position of a pose and on its rotation about gravity, whose axis in the body is R' e_z."""
-    axis = so3.to_matrix(pose[3:])[2]
+    w, x, y, z = pose[3:]
+    axis = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
     damping = np.zeros((6, 6))
     damping[:3, :3] = np.eye(3)
     damping[3:, 3:] = np.outer(axis, axis)
@@ -118,5 +117,4 @@ def solve(settings: params.Solver, max_iterations: int, problem: WindowProblem) 
     before = at.system.cost
     while (why := terminate(settings, at, max_iterations)) is None:
         at = step(settings, linearizer, at)
-    residuals = linearizer.residuals(at.states)
-    return Solution(at.states, at.system, residuals, before, at.system.cost, at.reports, why)
+    return Solution(at.states, at.system, before, at.system.cost, at.reports, why)

@@ -22,8 +22,17 @@ from .visual_term import VisualTerm
 
 
 @dataclass(frozen=True)
+class Residuals:
+    """What each factor says at one state."""
+
+    visual: np.ndarray  # (2, N) whitened, before the robust loss, in the order of the problem's table
+    imu: np.ndarray  # (K, 15) whitened
+    prior: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
 class NormalEquations:
-    """J'J and J'r at one state."""
+    """J'J and J'r at one state, and the residuals they come from."""
 
     cost: CostSplit
     H: np.ndarray  # (D, D) symmetric
@@ -31,15 +40,7 @@ class NormalEquations:
     W: np.ndarray  # (M, P)
     h: np.ndarray  # (M,) information of each inverse depth, all else held
     g_l: np.ndarray  # (M,)
-
-
-@dataclass(frozen=True)
-class Residuals:
-    """What each factor says at one state."""
-
-    visual: np.ndarray  # (2, N) whitened, before the robust loss
-    imu: np.ndarray  # (K, 15) whitened
-    prior: np.ndarray  # (n,)
+    residuals: Residuals
 
 
 class Linearizer:
@@ -57,23 +58,19 @@ class Linearizer:
 
     def linearize(self, states: States) -> NormalEquations:
         m, P = self.problem.n_landmarks, self.layout.visual
+        landmarks = np.zeros((m, P)), np.zeros(m), np.zeros(m)
         visual = inertial = prior = 0.0
-        W, h, g_l = np.zeros((m, P)), np.zeros(m), np.zeros(m)
-        views = iter(self._scatter.views)
+        r_visual, r_imu, r_prior = np.zeros((2, 0)), np.zeros((0, 15)), np.zeros(0)
+        blocks = iter(self._scatter.blocks)
         if self.visual:
-            visual, W, h, g_l = self.visual.linearize(states, *next(views))
+            visual, r_visual, landmarks = self.visual.linearize(states, *next(blocks))
         if self.inertial:
-            inertial = self.inertial.linearize(states, *next(views))
+            inertial, r_imu = self.inertial.linearize(states, *next(blocks))
         if self.prior:
-            prior = self.prior.linearize(states, *next(views))
+            prior, r_prior = self.prior.linearize(states, *next(blocks))
         H, g = self._scatter.add()
-        return NormalEquations(CostSplit(visual, inertial, prior), H, g, W, h, g_l)
-
-    def residuals(self, states: States) -> Residuals:
-        return Residuals(
-            self.visual.residuals(states) if self.visual else np.zeros((2, 0)),
-            self.inertial.residuals(states) if self.inertial else np.zeros((0, 15)),
-            self.prior.residuals(states) if self.prior else np.zeros(0),
+        return NormalEquations(
+            CostSplit(visual, inertial, prior), H, g, *landmarks, Residuals(r_visual, r_imu, r_prior)
         )
 
     def retract(self, states: States, dc: np.ndarray, dl: np.ndarray) -> States:
@@ -103,12 +100,12 @@ class _Scatter:
         self._in_H = _join([(c[:, :, None] * size + c[:, None, :]).reshape(-1) for c in columns])
         self._in_g = _join([c.reshape(-1) for c in columns])
         self._JtJ, self._Jtr = np.zeros(len(self._in_H)), np.zeros(len(self._in_g))
-        self.views = []
+        self.blocks = []  # per term: J'J (blocks, k, k) and J'r (blocks, k) to be filled
         a = b = 0
         for blocks, k in (c.shape for c in columns):
             JtJ = self._JtJ[a : (a := a + blocks * k * k)].reshape(blocks, k, k)
             Jtr = self._Jtr[b : (b := b + blocks * k)].reshape(blocks, k)
-            self.views.append((JtJ, Jtr))
+            self.blocks.append((JtJ, Jtr))
 
     def add(self) -> tuple[np.ndarray, np.ndarray]:
         size = self._size

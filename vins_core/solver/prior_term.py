@@ -43,12 +43,9 @@ class PriorTerm:
         J[:, self._pose_columns[:, 3:]] = (self._J_theta @ prior.inverse_right_jacobian(d[:, 3:])).transpose(1, 0, 2)
         return self._factor.r + J0 @ dx, J[:, self._free]
 
-    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> float:
-        """Fills J'J (1, n, n) and J'r (1, n); returns the cost."""
+    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> tuple[float, np.ndarray]:
+        """Fills J'J (1, n, n) and J'r (1, n); returns cost and residual (n,)."""
         r, J = self.rows(states)
         np.matmul(J.T, J, JtJ[0])
         np.matmul(r, J, Jtr[0])
-        return 0.5 * float(r @ r)
-
-    def residuals(self, states: States) -> np.ndarray:
-        return self.rows(states)[0]
+        return 0.5 * float(r @ r), r

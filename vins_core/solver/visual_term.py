@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..factors import reprojection
-from ..factors.factor import Batch
 from .layout import Layout
 from .problem import States, WindowProblem
 
@@ -19,13 +18,15 @@ class VisualTerm:
     """The index structure of one problem's projections."""
 
     def __init__(self, problem: WindowProblem, layout: Layout):
-        self._problem = problem
+        self._loss = problem.loss
         order = np.lexsort((problem.projections.observer, problem.projections.anchor))
         self._order = order
         self.table = table = problem.projections[order]
         n = len(table)
         extrinsic = ("extrinsic",) if layout.n_extrinsics else ()
-        self._batch = self._fill_data(("pose_i", "pose_j", *extrinsic, "inv_depth"))
+        factor = reprojection.FACTORS[problem.residual]
+        self._batch = factor.batch(n, ("pose_i", "pose_j", *extrinsic, "inv_depth"), uniform=("extrinsic",))
+        self._batch.data[:] = reprojection.measurement(problem.residual, table.rays_i, table.rays_j, problem.sqrt_info)
 
         new_pair = np.diff(table.anchor * layout.n_frames + table.observer, prepend=-1) != 0
         first = np.flatnonzero(new_pair)
@@ -50,39 +51,31 @@ class VisualTerm:
         self._in_W = table.landmark * layout.visual + self.columns.T[:, pair]  # (c, N)
         self._W_shape = (problem.n_landmarks, layout.visual)
 
-    def _fill_data(self, active: tuple[str, ...]) -> Batch:
-        problem, table = self._problem, self.table
-        factor = reprojection.FACTORS[problem.residual]
-        batch = factor.batch(len(table), active, uniform=("extrinsic",))
-        batch.data[:] = reprojection.measurement(problem.residual, table.rays_i, table.rays_j, problem.sqrt_info)
-        return batch
+    def rows(self, states: States) -> tuple[np.ndarray, np.ndarray, float]:
+        """[J r] of every projection with the robust weight, (c + 2, 2, N); r without it (2, N); the cost.
 
-    def _evaluate(self, batch: Batch, states: States) -> None:
-        table = self.table
+        The last two columns are the inverse depth and the residual; the others belong to `columns[pair]`.
+        """
+        table, batch, loss = self.table, self._batch, self._loss
         poses = np.ascontiguousarray(states.poses.T)
         poses.take(table.anchor, 1, batch.inputs[0], "clip")
         poses.take(table.observer, 1, batch.inputs[1], "clip")
         batch.inputs[2][:] = states.extrinsics[table.camera]
         states.inv_depths.take(table.landmark, 0, batch.inputs[3][0], "clip")
         batch.evaluate()
-
-    def rows(self, states: States) -> tuple[np.ndarray, float]:
-        """[J r] of every projection with the robust weight, (c + 2, 2, N), and the cost.
-
-        The last two columns are the inverse depth and the residual; the others belong to `columns[pair]`.
-        """
-        self._evaluate(self._batch, states)
-        loss, system = self._problem.loss, self._batch.system
-        r = system[-1]
+        system = batch.system
+        r = system[-1].copy()
         s = r[0] * r[0] + r[1] * r[1]
         system *= loss.weight(s)
-        return system, 0.5 * float(loss.rho(s).sum())
+        return system, r, 0.5 * float(loss.rho(s).sum())
 
     def linearize(
         self, states: States, JtJ: np.ndarray, Jtr: np.ndarray
-    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-        """Fills J'J and J'r of every pair, (pairs, c, c) and (pairs, c); returns cost, W, h and g_l."""
-        system, cost = self.rows(states)
+    ) -> tuple[float, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Fills J'J and J'r of every pair, (pairs, c, c) and (pairs, c); returns cost, residuals, (W, h, g_l)."""
+        system, unweighted, cost = self.rows(states)
+        residuals = np.empty_like(unweighted)
+        residuals[:, self._order] = unweighted
         c = len(system) - 2
         camera, depth, r, packed = system[:c], system[c], system[c + 1], self._packed
         camera.reshape(c, -1).take(self._lanes, 1, packed[:c], "clip")
@@ -98,12 +91,4 @@ class VisualTerm:
         W = np.bincount(self._in_W.reshape(-1), coupling.reshape(-1), m * P).reshape(m, P)
         h = np.bincount(landmark, depth[0] * depth[0] + depth[1] * depth[1], m)
         g_l = np.bincount(landmark, depth[0] * r[0] + depth[1] * r[1], m)
-        return cost, W, h, g_l
-
-    def residuals(self, states: States) -> np.ndarray:
-        """(2, N) whitened, before the robust loss, in the order of the problem's table."""
-        batch = self._fill_data(())
-        self._evaluate(batch, states)
-        out = np.empty((2, len(self.table)))
-        out[:, self._order] = batch.r
-        return out
+        return cost, residuals, (W, h, g_l)

@@ -168,7 +168,7 @@ def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowSta
 def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
     problem = assembly.problem
     table = problem.projections
-    residuals = solution.residuals
+    residuals = solution.system.residuals
     sigma = np.full((problem.n_frames - 1, 5), np.nan)
     sigma[[k for k, _ in problem.imu]] = np.linalg.norm(residuals.imu.reshape(-1, 5, 3), axis=2)
     return SolveReport(

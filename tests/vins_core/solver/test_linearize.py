@@ -24,7 +24,7 @@ def problem(form: str = "plane", prior: bool = True, free_extrinsics: bool = Fal
 
 
 def stacked(linearizer: Linearizer, states) -> np.ndarray:
-    r = linearizer.residuals(states)
+    r = linearizer.linearize(states).residuals
     return np.concatenate([r.visual.ravel(), r.imu.ravel(), r.prior])
 
 
@@ -73,7 +73,8 @@ def test_gradient_is_that_of_the_robust_cost(loss):
 def test_cost_is_half_the_robust_sum_of_the_residuals():
     p = problem()
     linearizer = Linearizer(p)
-    cost, r = linearizer.linearize(p.initial).cost, linearizer.residuals(p.initial)
+    system = linearizer.linearize(p.initial)
+    cost, r = system.cost, system.residuals
     assert cost.visual == pytest.approx(0.5 * p.loss.rho((r.visual**2).sum(0)).sum())
     assert cost.imu == pytest.approx(0.5 * (r.imu**2).sum())
     assert cost.prior == pytest.approx(0.5 * (r.prior**2).sum())
