@@ -10,10 +10,12 @@ Tangent of a pose: (dp, dtheta) with p <- p + dp and R <- R Exp(dtheta).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..geometry import so3
 from ..geometry.pnp import tangent_basis
@@ -26,13 +28,27 @@ class Rays:
     frame: np.ndarray  # (N,) int
     point: np.ndarray  # (N,) int
     ray: np.ndarray  # (N, 3) unit, camera frame
-    basis: np.ndarray = field(init=False)  # (N, 3, 2) tangent planes
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "basis", tangent_basis(self.ray))
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """(N, 3, 2) bases of the tangent planes."""
+        return tangent_basis(self.ray)
+
+    def sum_by_frame(self, values: np.ndarray, n_frames: int) -> np.ndarray:
+        """(N, ...) -> (n_frames, ...)."""
+        return _sum(self.frame, values, n_frames)
+
+    def sum_by_point(self, values: np.ndarray, n_points: int) -> np.ndarray:
+        """(N, ...) -> (n_points, ...)."""
+        return _sum(self.point, values, n_points)
+
+
+def _sum(group: np.ndarray, values: np.ndarray, n_groups: int) -> np.ndarray:
+    chosen = csr_array((np.ones(len(group)), (group, np.arange(len(group)))), (n_groups, len(group)))
+    return (chosen @ values.reshape(len(group), -1)).reshape(n_groups, *values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -113,17 +129,12 @@ def linearize(structure: Structure, T_b_c: np.ndarray, rays: Rays, sigma_rad: fl
 
     n_frames, n_points = len(structure.p), len(structure.points)
     H = np.zeros((n_dense, n_dense))
+    for k, block in enumerate(rays.sum_by_frame(np.swapaxes(WJ_pose, 1, 2) @ J_pose, n_frames)):
+        H[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = block
     g = np.zeros(n_dense)
-    blocks = np.zeros((n_frames, 6, 6))
-    np.add.at(blocks, rays.frame, np.swapaxes(WJ_pose, 1, 2) @ J_pose)
-    for k in range(n_frames):
-        H[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = blocks[k]
-    gradient = np.zeros((n_frames, 6))
-    np.add.at(gradient, rays.frame, np.einsum("nij,ni->nj", WJ_pose, r))
-    g[: 6 * n_frames] = gradient.ravel()
-    V, h = np.zeros((n_points, 3, 3)), np.zeros((n_points, 3))
-    np.add.at(V, rays.point, np.swapaxes(WJ_point, 1, 2) @ J_point)
-    np.add.at(h, rays.point, np.einsum("nij,ni->nj", WJ_point, r))
+    g[: 6 * n_frames] = rays.sum_by_frame(np.einsum("nij,ni->nj", WJ_pose, r), n_frames).ravel()
+    V = rays.sum_by_point(np.swapaxes(WJ_point, 1, 2) @ J_point, n_points)
+    h = rays.sum_by_point(np.einsum("nij,ni->nj", WJ_point, r), n_points)
     W = np.zeros((n_points, 3, n_dense))
     cross = W[:, :, : 6 * n_frames].reshape(n_points, 3, n_frames, 6)
     cross[rays.point, :, rays.frame] = np.swapaxes(WJ_point, 1, 2) @ J_pose
