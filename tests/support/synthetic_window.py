@@ -79,13 +79,16 @@ def make(
     perturbation: float = 1.0,
     outliers: float = 0.0,
     max_angle_deg: float = 45.0,
+    longest_track: int = 18,
 ) -> Synthetic:
     """`pixel_sigma` in px460, `imu_noise` a factor on NOISE, `outliers` the share of wrong observations."""
     rng = np.random.default_rng(seed)
     t = start_s + frame_dt_s * np.arange(n_frames)
     p, q = position(t), attitude(t)
     motions = [None] + [_motion(rng, a, b, imu_hz, imu_noise) for a, b in pairwise(t)]
-    ids, slots, rays, inv_depths = _tracks(rng, p, q, n_tracks, pixel_sigma, outliers, np.deg2rad(max_angle_deg))
+    ids, slots, rays, inv_depths = _tracks(
+        rng, p, q, n_tracks, longest_track, pixel_sigma, outliers, np.deg2rad(max_angle_deg)
+    )
     frames = []
     for k in range(n_frames):
         mine = slots == k
@@ -142,7 +145,7 @@ def _motion(rng: np.random.Generator, start_s: float, end_s: float, hz: float, n
     return preintegrate(ImuSamples(np.round(t * 1e9).astype(np.int64), gyro, accel), B_A, B_G, NOISE)
 
 
-def _tracks(rng, p, q, n_tracks, pixel_sigma, outliers, max_angle):
+def _tracks(rng, p, q, n_tracks, longest, pixel_sigma, outliers, max_angle):
     """Observations sorted by (id, slot), and the true inverse depth of each track in its first frame."""
     n = len(p)
     T_c_w = se3.inverse(se3.from_quaternion_translation(q, p) @ T_B_C)
@@ -150,7 +153,7 @@ def _tracks(rng, p, q, n_tracks, pixel_sigma, outliers, max_angle):
     track = 0
     while track < n_tracks:
         born = int(rng.integers(-8, n - 1))
-        seen = np.arange(max(born, 0), min(born + int(rng.integers(4, 18)), n))
+        seen = np.arange(max(born, 0), min(born + int(rng.integers(4, longest)), n))
         if len(seen) < 2:
             continue
         middle = seen[len(seen) // 2]

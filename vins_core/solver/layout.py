@@ -44,10 +44,13 @@ class Layout:
 
     def columns(self, kind: str, slots: np.ndarray | list[int]) -> np.ndarray:
         """(k, 6 or 9): the columns of a kind of block in each of k slots."""
-        start = {"pose": 0, "extrinsic": 6 * self.n_frames, "speed_bias": self.visual}[kind]
-        size = Block(kind, 0).size
-        return start + size * np.asarray(slots)[:, None] + np.arange(size)
+        size = 9 if kind == "speed_bias" else 6
+        return self._start(kind) + size * np.asarray(slots)[:, None] + np.arange(size)
 
     def columns_of(self, blocks: list[Block]) -> np.ndarray:
         """The columns of several blocks, one after the other."""
-        return np.concatenate([np.zeros(0, np.int64), *(self.columns(b.kind, [b.slot])[0] for b in blocks)])
+        starts = [(self._start(b.kind) + b.size * b.slot, b.size) for b in blocks]
+        return np.array([column for start, size in starts for column in range(start, start + size)], np.int64)
+
+    def _start(self, kind: str) -> int:
+        return {"pose": 0, "extrinsic": 6 * self.n_frames, "speed_bias": self.visual}[kind]
