@@ -1,52 +1,31 @@
-"""From a recording to a run on disk: the loop that the command line and the browser's worker share."""
+"""From a recording to a run on disk: what the command line and the browser's worker share."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from . import params as parameters
-from .clock import stopwatch
-from .io.calibration import Settings, read_calibration
+from .io.calibration import read_calibration
+from .io.params_yaml import read_params
 from .io.recording import Recording, open_recording
 from .io.sync import packets
 from .params import Params
-from .pipeline import start, step
+from .pipeline import start
 from .record.header import RunHeader
-from .record.recording import FINISHED, INTERRUPTED, RunWriter
-from .report import FrameSummary, Timings, summarize
-from .sensors import ImageRef, ImageSource, Packet
+from .record.recording import RunWriter
+from .record.replay import Progress, Result, estimate
+
+__all__ = ["BACKEND", "Progress", "Result", "choose_parameters", "run_recording"]
 
 PathLike = str | Path
 
 BACKEND = "numpy-tape"
 """What evaluates the factors: their CasADi expressions, replayed as NumPy operations over all factors at once."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """After each frame: how far the run is and what came of the frame."""
-
-    frames: int
-    expected: int | None
-    poses: int
-    summary: FrameSummary
-
-
-@dataclass(frozen=True)
-class Result:
-    """How a run ended."""
-
-    frames: int
-    poses: int
-    finished: bool  # False: cancelled
-    notes: tuple[str, ...]  # one sentence for each key of the calibration files that was ignored or assumed
 
 
 def run_recording(
@@ -55,6 +34,7 @@ def run_recording(
     *,
     out: PathLike,
     settings: Sequence[str] = (),
+    params_file: PathLike | None = None,
     start_s: float = 0.0,
     duration_s: float | None = None,
     embed_images: bool = False,
@@ -63,16 +43,18 @@ def run_recording(
 ) -> Result:
     """Estimate a recording into the new run folder `out`.
 
-    `settings` are `section.name=value` and win over the tuning keys of the calibration files; `start_s` and
-    `duration_s` count from the first image.  `cancelled` is asked after each frame.  However it ends, what was
-    written can be read.  Raises VinspectError, before `out` is touched when the input is at fault.
+    `settings` are `section.name=value` and win over those of `params_file` (see io/params_yaml.py), which win over the
+    tuning keys of the calibration files.  `start_s` and `duration_s` count from the first image.  `cancelled` is asked
+    after each frame.  However it ends, what was written can be read.
+    Raises VinspectError, before `out` is touched when the input is at fault.
     """
     cv2.setNumThreads(1)  # several fight with each other and with the page for a few cores
     assignments = dict(parameters.parse_assignment(text) for text in settings)
     parameters.replace(Params(), assignments)  # a wrong one is told before anything is read
+    from_file = read_params(params_file) if params_file is not None else {}
     with open_recording(recording) as source:
         given = read_calibration(calib, source)
-        params, origins = choose_parameters(given.overrides, assignments)
+        params, origins = choose_parameters(given.overrides, assignments, from_file)
         arriving = packets(source, given.calibration, params, start_s, duration_s)
         first = next(arriving)  # what is wrong with the recording is told before a folder is made
         header = RunHeader(
@@ -90,56 +72,22 @@ def run_recording(
             notes=given.notes,
         )
         with RunWriter(out, header, source.truth(), source) as writer:
-            return _estimate(writer, given, header, source, itertools.chain([first], arriving), progress, cancelled)
-
-
-def _estimate(
-    writer: RunWriter,
-    given: Settings,
-    header: RunHeader,
-    source: Recording,
-    arriving: Iterator[Packet],
-    progress: Callable[[Progress], None],
-    cancelled: Callable[[], bool],
-) -> Result:
-    images, state, poses = _TimedImages(source), start(given.calibration), 0
-    for packet in arriving:
-        state, report, ms = step(header.params, given.calibration, images, state, packet)
-        ms = images.take_decoding_out_of(ms)
-        writer.append(report, ms, packet, state)
-        poses += report.pose is not None
-        progress(Progress(len(writer), header.expected_frames, poses, summarize(report, ms)))
-        if cancelled():
-            writer.close(INTERRUPTED)
-            return Result(len(writer), poses, False, given.notes)
-    writer.close(FINISHED)
-    return Result(len(writer), poses, True, given.notes)
+            arriving = itertools.chain([first], arriving)
+            return estimate(writer, header, source, start(given.calibration), arriving, progress, cancelled)
 
 
 def choose_parameters(
-    overrides: Mapping[str, object], assignments: Mapping[str, object]
+    overrides: Mapping[str, object], assignments: Mapping[str, object], from_file: Mapping[str, object] | None = None
 ) -> tuple[Params, dict[str, str]]:
-    """Parameters and where each comes from: "default", "config" (calibration file) or "set" (wins)."""
-    params = parameters.replace(parameters.replace(Params(), overrides), assignments)
-    origins = dict.fromkeys(parameters.DECLARATIONS, "default")
-    return params, origins | dict.fromkeys(overrides, "config") | dict.fromkeys(assignments, "set")
+    """Parameters and where each comes from.
 
-
-class _TimedImages:
-    """An image source whose time is told apart from that of the stage which asks for images."""
-
-    def __init__(self, source: ImageSource) -> None:
-        self._source = source
-        self._ms: Timings = {}
-
-    def load(self, ref: ImageRef) -> np.ndarray:
-        with stopwatch(self._ms, "decode"):
-            return self._source.load(ref)
-
-    def take_decoding_out_of(self, ms: Timings) -> Timings:
-        """The timings of a frame with `decode` on its own instead of within `track`."""
-        decode, self._ms = self._ms.get("decode", 0.0), {}
-        return {"decode": decode, **ms, "track": ms.get("track", decode) - decode}
+    "default" < "config" (calibration file) < "params" (parameter file) < "set" (command line): the later wins.
+    """
+    params, origins = Params(), dict.fromkeys(parameters.DECLARATIONS, "default")
+    for origin, changes in (("config", overrides), ("params", from_file or {}), ("set", assignments)):
+        params = parameters.replace(params, changes)
+        origins |= dict.fromkeys(changes, origin)
+    return params, origins
 
 
 def _topics(source: Recording) -> dict[str, str]:

@@ -43,3 +43,11 @@ Settings = Annotated[
         + "\n",
     ),
 ]
+ParamsFile = Annotated[
+    Path | None,
+    arg(
+        name="params",
+        metavar="FILE",
+        help="YAML of changed parameters (section: {name: value}), winning over the calibration file's; --set wins",
+    ),
+]

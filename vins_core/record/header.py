@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import platform
+import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -27,12 +29,22 @@ _PACKAGES = ("vinspect", "numpy", "scipy", "opencv-python-headless", "casadi", "
 
 
 @dataclass(frozen=True)
+class Parent:
+    """The run that a fork began as: frames before `frame` are its own, byte for byte."""
+
+    id: str
+    path: str  # where it was then; the fork does not need it
+    frame: int  # the first one computed with the changed parameters
+    changes: Mapping[str, Any]  # section.name -> value in the fork
+
+
+@dataclass(frozen=True)
 class RunHeader:
     """How a run came about: enough to repeat it, and to say why a repetition may differ (SPEC 9.2)."""
 
     params: Params
     calibration: Calibration
-    origins: Mapping[str, str] = field(default_factory=dict)  # section.name -> "default" | "config" | "set"
+    origins: Mapping[str, str] = field(default_factory=dict)  # key -> "default" | "config" | "params" | "set" | "fork"
     recording: str = ""  # path it was read from
     recording_kind: str = ""  # "asl", "ros1", "ros2", "mcap"
     topics: Mapping[str, str] = field(default_factory=dict)  # e.g. cam0 -> /cam0/image_raw, imu -> /imu0
@@ -42,6 +54,8 @@ class RunHeader:
     backend: str = ""  # what evaluates the factors
     embedded_images: bool = False
     notes: tuple[str, ...] = ()  # what the calibration files said that was ignored or assumed
+    parent: Parent | None = None  # of a fork
+    id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])  # names the run wherever its folder is
     created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     versions: Mapping[str, str] = field(default_factory=lambda: package_versions())
     cpu: str = field(default_factory=lambda: cpu_model())
@@ -90,6 +104,7 @@ def from_json(data: bytes, where: str) -> RunHeader:
             f"{where} has record schema {document.get('schema')!r} but this version reads {SCHEMA}; "
             "open it with the version of vinspect that wrote it, or run the recording again"
         )
+    document = {"id": hashlib.sha256(data).hexdigest()[:12]} | document  # the first records had none
     try:
         return _build(RunHeader, document, params=_params_from_dict, calibration=_calibration_from_dict)
     except ParameterError as problem:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from ..errors import OutputError, RunError
 
 MAX_PAYLOAD = 256 * 1024 * 1024
+_PIECE = 8 * 1024 * 1024
 _HEAD = struct.Struct("<IIII")
 _MAGIC = int.from_bytes(b"VINR", "little")
 
@@ -54,6 +55,18 @@ class LogWriter:
             raise OutputError(f"cannot write {self._path}: {problem.strerror}") from None
         self._size = block.end
         return block
+
+    def adopt(self, other: LogReader, end: int) -> None:
+        """Begin with the first `end` bytes of another log, so that its blocks lie where they lay."""
+        assert self._size == 0
+        try:
+            while self._size < end:
+                piece = other.span(self._size, min(end - self._size, _PIECE))
+                if not piece:
+                    break
+                self._size += self._file.write(piece)
+        except OSError as problem:
+            raise OutputError(f"cannot write {self._path}: {problem.strerror}") from None
 
     def fileno(self) -> int:
         return self._file.fileno()
@@ -101,6 +114,9 @@ class LogReader:
                 return
             yield block, payload
             offset = block.end
+
+    def span(self, offset: int, length: int) -> bytes:
+        return os.pread(self._file.fileno(), length, offset)
 
     def _payload(self, block: Block) -> bytes | None:
         if not (0 <= block.length <= MAX_PAYLOAD and block.offset >= 0 and block.end <= self.size()):

@@ -85,6 +85,13 @@ class RunWriter:
             self._write(TRUTH, pack({"truth": truth}))
         self._write(HEADER, headers.to_json(header))  # last: a folder with a header can be opened
 
+    def adopt(self, other: RunReader, frames: int) -> None:
+        """Begin with the first `frames` frames of another run, byte for byte; its images come along."""
+        if len(self) or not 0 <= frames <= len(other):
+            raise ValueError(f"cannot begin with {frames} frames of {other.path} after {len(self)} of its own")
+        other.copy_logs(frames, self._frames, self._index, self._image_log)
+        self._ledger = Ledger(frames)
+
     def append(
         self, report: FrameReport, timings: Timings, packet: Packet | None = None, state: RunState | None = None
     ) -> None:
@@ -171,6 +178,7 @@ class RunReader:
         self._refreshing = threading.Lock()
         self._blob = lru_cache(keep)(self._read_blob)
         self.report = lru_cache(keep)(self._read_report)
+        self.state = lru_cache(min(keep, 8))(self._read_state)
         self.refresh()
 
     def __len__(self) -> int:
@@ -231,7 +239,7 @@ class RunReader:
         """What arrived for frame k."""
         return self._section(k, "packet", Packet)
 
-    def state(self, k: int) -> RunState:
+    def _read_state(self, k: int) -> RunState:
         """The state after frame k, bit for bit."""
         from ..pipeline import RunState  # not needed to look at a run, and costs CasADi
 
@@ -255,6 +263,15 @@ class RunReader:
                     where = f"{self.path / IMAGES} at byte {block.offset}"
                     return _decode(self._images.read(block), (camera.height, camera.width), where)
         raise RunError(f"{self.path} holds no image {ref.index} of camera {ref.camera} at {ref.t_ns} ns")
+
+    def copy_logs(self, n: int, frames: LogWriter, index: LogWriter, images: LogWriter | None) -> None:
+        """The first n frames into empty logs."""
+        frames.adopt(self._frames, self._blocks[n - 1].end if n else 0)
+        for block, summary in zip(self._blocks[:n], self.summaries[:n]):
+            index.append(pack({"block": block, "summary": summary}))
+        if images and self._images:
+            held = (self._section(k, "images", list[Block]) for k in range(n - 1, -1, -1))
+            images.adopt(self._images, next((blocks[-1].end for blocks in held if blocks), 0))
 
     def close(self) -> None:
         for log in (self._frames, self._index, self._images):

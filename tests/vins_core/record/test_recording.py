@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import record_samples as samples
+from same import differences
 
 from vins_core.errors import OutputError, RunError
 from vins_core.params import Params, replace
@@ -19,25 +20,6 @@ from vins_core.record.header import RunHeader
 from vins_core.record.recording import FRAMES, HEADER, IMAGES, INDEX, INTERRUPTED, TRUTH, RunReader, RunWriter, is_run
 from vins_core.report import FrameSummary, summarize
 from vins_core.sensors import ImageRef
-
-
-def differences(a: object, b: object, path: str = "") -> list[str]:
-    """Where two trees differ in type, value, or a single bit of an array."""
-    if type(a) is not type(b):
-        return [f"{path}: {type(a).__name__} != {type(b).__name__}"]
-    if isinstance(a, np.ndarray):
-        assert isinstance(b, np.ndarray)
-        same = (a.dtype, a.shape, a.tobytes(), a.flags.fnc) == (b.dtype, b.shape, b.tobytes(), b.flags.fnc)
-        return [] if same else [f"{path}: arrays differ"]
-    if dataclasses.is_dataclass(a):
-        names = [f.name for f in dataclasses.fields(a)]
-        return [d for n in names for d in differences(getattr(a, n), getattr(b, n), f"{path}.{n}")]
-    if isinstance(a, (tuple, list)):
-        assert isinstance(b, (tuple, list))
-        if len(a) != len(b):
-            return [f"{path}: {len(a)} != {len(b)} items"]
-        return [d for i, (x, y) in enumerate(zip(a, b, strict=True)) for d in differences(x, y, f"{path}[{i}]")]
-    return [] if a == b else [f"{path}: {a!r} != {b!r}"]
 
 
 def without_times(summary: FrameSummary) -> FrameSummary:

@@ -1,0 +1,137 @@
+"""A fork: what would have happened, had a parameter been another one from some frame on (SPEC 9.3c).
+
+    restored state after frame `at` - 1  +  changed parameters  +  the recorded packets  ->  a new run
+
+Frames before `at` are copied byte for byte, so that a fork opens as a whole run and needs its parent no more; pixels
+come from the recording by reference, or from the record where they are embedded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import cv2
+
+from .. import params as parameters
+from ..errors import ParameterError, RunError
+from ..io.recording import open_recording
+from ..params import Params
+from ..pipeline import start
+from ..sensors import ImageSource, Packet
+from .header import Parent, RunHeader, cpu_model, package_versions
+from .recording import RunReader, RunWriter
+from .replay import Progress, Result, estimate
+
+FIXED = {
+    "frontend.freq": "decides which images are frames",
+    "window.size": "decides how many frames a state holds",
+}
+"""Parameters that a run keeps from its first frame to its last, and why."""
+
+
+def fork(
+    run: RunReader,
+    at: int,
+    out: str | os.PathLike[str],
+    changes: Mapping[str, Any],
+    frames: int | None = None,
+    images: ImageSource | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> Result:
+    """Repeat `run` with `changes` (`section.name -> value`) from frame `at` on: the first one that they apply to.
+
+    Computes `frames` frames, by default up to the last one that `run` holds.  Without changes the fork equals the
+    run bit for bit where versions and processor are the same; the notes of the result say where they are not.
+    `images`: where pixels come from, by default the record or the recording it names.
+    Raises before `out` is touched: ParameterError for what cannot change within a run, RunError for a frame that is
+    not there and a back end that is not available, RecordingError when the images cannot be opened.
+    """
+    cv2.setNumThreads(1)
+    params = forked_params(run.header.params, at, changes)
+    require_backend(run.header)
+    end = _last(run, at, frames)
+    state = start(run.header.calibration) if at == 0 else run.state(at - 1)
+    run.packet(at)  # a record without packets is told before a folder is made
+    header = _header(run, at, params, end)
+    with contextlib.ExitStack() as opened:
+        source = images if images is not None else opened.enter_context(recorded_images(run))
+        with RunWriter(out, header, run.truth, source) as writer:
+            writer.adopt(run, at)
+            poses = sum(s.pose is not None for s in run.summaries[:at])
+            return estimate(writer, header, source, state, _packets(run, at, end), progress, cancelled, poses)
+
+
+def forked_params(params: Params, at: int, changes: Mapping[str, Any]) -> Params:
+    """`params` with `changes` from frame `at` on; ParameterError when one of them cannot change there."""
+    forked = parameters.replace(params, changes)
+    for key, why in FIXED.items():
+        if at > 0 and parameters.get(forked, key) != parameters.get(params, key):
+            raise ParameterError(
+                f"{key} {why} and cannot change at frame {at} of a run; "
+                f"run the recording again with `vinspect run ... --set {key}={parameters.get(forked, key)}`"
+            )
+    return forked
+
+
+def require_backend(header: RunHeader) -> None:
+    """RunError unless this installation evaluates factors as the run did: only then are replays bit-equal."""
+    from ..runner import BACKEND
+
+    if header.backend not in ("", BACKEND):
+        raise RunError(
+            f"the run was computed by the back end {header.backend!r}, which is not available here ({BACKEND!r} is); "
+            "replay it where it was made, or run the recording again"
+        )
+
+
+@contextlib.contextmanager
+def recorded_images(run: RunReader) -> Iterator[ImageSource]:
+    """The pixels of a run: its own when they are embedded, else those of its recording."""
+    if run.has_images:
+        yield run
+        return
+    with open_recording(run.header.recording, run.header.calibration) as source:
+        yield source
+
+
+def _last(run: RunReader, at: int, frames: int | None) -> int:
+    if not 0 <= at < len(run):
+        raise RunError(f"{run.path} has no frame {at} to fork at; it holds frames 0 to {len(run) - 1}")
+    if frames is not None and frames < 1:
+        raise ParameterError(f"a fork of {frames} frames computes nothing; expected at least 1")
+    return len(run) if frames is None else min(at + frames, len(run))
+
+
+def _packets(run: RunReader, at: int, end: int) -> Iterator[Packet]:
+    return (run.packet(k) for k in range(at, end))
+
+
+def _header(run: RunReader, at: int, params: Params, end: int) -> RunHeader:
+    before, changed = run.header, parameters.changed(params, run.header.params)
+    versions, cpu = package_versions(), cpu_model()
+    notes = [f"{what} was {a or 'unknown'} and is {b}" for what, a, b in _other_machine(before, versions, cpu)]
+    return dataclasses.replace(
+        before,
+        params=params,
+        origins={**before.origins, **dict.fromkeys(changed, "fork")},
+        expected_frames=end,
+        embedded_images=run.has_images,
+        parent=Parent(before.id, str(run.path.resolve()), at, changed),
+        notes=tuple(f"the fork may differ in its last digits: {note}" for note in notes),
+        id=uuid.uuid4().hex[:12],
+        created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=versions,
+        cpu=cpu,
+    )
+
+
+def _other_machine(header: RunHeader, versions: Mapping[str, str], cpu: str) -> Iterator[tuple[str, str, str]]:
+    pairs = [(name, header.versions.get(name, ""), version) for name, version in versions.items()]
+    yield from (pair for pair in [*pairs, ("the processor", header.cpu, cpu)] if pair[1] != pair[2])

@@ -1,0 +1,80 @@
+"""Packets into a record, frame by frame: the loop that a run, a fork and a replay share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..clock import stopwatch
+from ..pipeline import RunState, step
+from ..report import FrameSummary, Timings, summarize
+from ..sensors import ImageRef, ImageSource, Packet
+from .header import RunHeader
+from .recording import FINISHED, INTERRUPTED, RunWriter
+
+
+@dataclass(frozen=True)
+class Progress:
+    """After each frame: how far the run is and what came of the frame."""
+
+    frames: int
+    expected: int | None
+    poses: int
+    summary: FrameSummary
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a run ended."""
+
+    frames: int
+    poses: int
+    finished: bool  # False: cancelled
+    notes: tuple[str, ...]  # one sentence for each thing that was ignored, assumed or differs
+
+
+def estimate(
+    writer: RunWriter,
+    header: RunHeader,
+    source: ImageSource,
+    state: RunState,
+    arriving: Iterable[Packet],
+    progress: Callable[[Progress], None] = lambda _: None,
+    cancelled: Callable[[], bool] = lambda: False,
+    poses: int = 0,
+) -> Result:
+    """Step through `arriving` from `state`, append every frame, close the record.
+
+    `poses`: how many the record holds already.  `cancelled` is asked after each frame.
+    """
+    images = _TimedImages(source)
+    for packet in arriving:
+        state, report, ms = step(header.params, header.calibration, images, state, packet)
+        ms = images.take_decoding_out_of(ms)
+        writer.append(report, ms, packet, state)
+        poses += report.pose is not None
+        progress(Progress(len(writer), header.expected_frames, poses, summarize(report, ms)))
+        if cancelled():
+            writer.close(INTERRUPTED)
+            return Result(len(writer), poses, False, header.notes)
+    writer.close(FINISHED)
+    return Result(len(writer), poses, True, header.notes)
+
+
+class _TimedImages:
+    """An image source whose time is told apart from that of the stage which asks for images."""
+
+    def __init__(self, source: ImageSource) -> None:
+        self._source = source
+        self._ms: Timings = {}
+
+    def load(self, ref: ImageRef) -> np.ndarray:
+        with stopwatch(self._ms, "decode"):
+            return self._source.load(ref)
+
+    def take_decoding_out_of(self, ms: Timings) -> Timings:
+        """The timings of a frame with `decode` on its own instead of within `track`."""
+        decode, self._ms = self._ms.get("decode", 0.0), {}
+        return {"decode": decode, **ms, "track": ms.get("track", decode) - decode}
