@@ -34,6 +34,7 @@ class PanelView:
         self.key: str = module.KEY
         self._backdrop = gui.add_html("") if hasattr(module, "backdrop") else None
         self._backdrop_of: tuple[object, ...] = ()
+        self._content = ""
         self._body = gui.add_html(str(tag("div", cls="vi", data_vip=self.key)))
 
     def render(self, ctx: PanelContext) -> None:
@@ -48,11 +49,20 @@ class PanelView:
         except Exception as problem:  # a bug in one panel must not blank the others
             log.exception("panel %s, frame %d", self.key, ctx.frame)
             content = message(self.key, f"This panel failed at frame {ctx.frame} ({type(problem).__name__}).")
-        if self._body.content != content:
-            self._body.content = content
+        self._show(content)
 
     def say(self, sentence: str) -> None:
-        self._body.content = message(self.key, sentence)
+        """One sentence instead of the panel."""
+        self._show(message(self.key, sentence))
+
+    @property
+    def content(self) -> str:
+        """The html the page has now."""
+        return self._content
+
+    def _show(self, content: str) -> None:
+        if content != self._content:
+            self._content = self._body.content = content
 
 
 def message(key: str, sentence: str) -> str:

@@ -31,7 +31,7 @@ class Server:
         cv2.setNumThreads(1)  # more threads starve the event loop
         self.opened = opened
         self._layouts = shipped_layouts()
-        self._sessions: dict[int, Session] = {}
+        self.sessions: dict[int, Session] = {}
         self._viser = viser.ViserServer(host=host, port=port, label="vinspect", verbose=False)
         gui, scene = self._viser.gui, self._viser.scene
         gui.configure_theme(dark_mode=True, brand_color=(86, 180, 233), show_logo=False, show_share_button=False)
@@ -50,19 +50,19 @@ class Server:
 
     def stop(self) -> None:
         self._polling.cancel()
-        for session in self._sessions.values():
+        for session in self.sessions.values():
             self._viser.get_event_loop().call_soon_threadsafe(session.close)
         self.opened.close()
         self._viser.stop()
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         try:
-            self._sessions[client.client_id] = Session(client, self.opened, self._layouts)
+            self.sessions[client.client_id] = Session(client, self.opened, self._layouts)
         except Exception:
             log.exception("a tab could not be set up")
 
     async def _disconnect(self, client: viser.ClientHandle) -> None:
-        session = self._sessions.pop(client.client_id, None)
+        session = self.sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
 
@@ -71,7 +71,7 @@ class Server:
             changed = self.opened.poll()
             mapping = self.opened.extend_map()
             if changed or mapping:
-                for session in self._sessions.values():
+                for session in self.sessions.values():
                     session.refresh()
             await asyncio.sleep(0.02 if mapping else POLL_S)
 

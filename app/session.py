@@ -43,14 +43,14 @@ class Session:
         self.selection = Selection()
         self.playing = self.following = False
         self.live = opened.growing  # show the newest frame until the user takes over
-        self._client = client
+        self.client = client
         self._layouts = layouts
         self._visible: set[str] = set()
         self._stale, self._closed = True, False
         self._wake = asyncio.Event()
         self._fitted = 0
         self._unit_m = 0.0
-        self._panels: dict[str, PanelView] = {}
+        self.panels: dict[str, PanelView] = {}
         self._windows: dict[str, viser.PanelHandle] = {}
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._page = int(client.camera.image_width), int(client.camera.image_height)
@@ -99,14 +99,20 @@ class Session:
         self._stale = True
         self._wake.set()
 
+    @property
+    def idle(self) -> bool:
+        """Everything wished for is drawn."""
+        return not (self.playing or self._stale or self._wake.is_set()) and self.shown in (self.want, -1)
+
     def close(self) -> None:
+        """End the render loop; the page is gone."""
         self._closed = True
         self._wake.set()
 
     # -- the page ----------------------------------------------------------------------------------------------------
 
     def _build(self) -> None:
-        gui = self._client.gui
+        gui = self.client.gui
         gui.set_panel_label("vinspect")
         with gui.add_folder("Session"):
             self._bridge = Bridge(gui, self._on_event)
@@ -130,7 +136,7 @@ class Session:
             if self.opened.job is not None:
                 self.opened.job.cancel()
 
-        @self._client.scene.on_click()  # type: ignore[arg-type]
+        @self.client.scene.on_click()  # type: ignore[arg-type]
         async def _(event: viser.SceneClickEvent) -> None:  # async, so that events keep their order
             frame = self._scene_frame(self.shown)
             if frame is not None:
@@ -144,7 +150,7 @@ class Session:
 
     def _add_commands(self) -> None:
         def add(label: str, key: str, modifier: str | None, action: Callable[[], None]) -> None:
-            command = self._client.gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]
+            command = self.client.gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]
 
             @command.on_trigger
             async def _(_: object) -> None:
@@ -168,12 +174,12 @@ class Session:
     def use_layout(self, layout: Layout) -> None:
         """Build the panels of a layout in place of those that are there."""
         self.layout = layout
-        with self._client.atomic():
+        with self.client.atomic():
             for window in self._windows.values():
                 window.remove()
-            self._panels, self._windows, self._boxes, self._visible = {}, {}, {}, set()
+            self.panels, self._windows, self._boxes = {}, {}, {}
             for name, spec in layout.panels.items():
-                window = self._windows[name] = self._client.gui.add_panel()
+                window = self._windows[name] = self.client.gui.add_panel()
                 for key in spec.tabs:
                     self._add_tab(window, key)
             self._place()
@@ -190,7 +196,7 @@ class Session:
     def _add_tab(self, window: viser.PanelHandle, key: str) -> None:
         if key == "layers":
             with window.add_tab("Layers", viser.Icon.STACK_2):
-                self._client.gui.add_html(str(tag("div", cls="vi", data_vip=key)))
+                self.client.gui.add_html(str(tag("div", cls="vi", data_vip=key)))
                 for toggle, title in TOGGLES.items():
                     self._add_layer_box(toggle, title)
             return
@@ -198,12 +204,12 @@ class Session:
         if module is None:  # a layout saved by another version
             return
         with window.add_tab(module.TITLE, getattr(viser.Icon, module.ICON)):
-            if not self._panels:
+            if not self.panels:
                 self._bridge.install()
-            self._panels[key] = PanelView(self._client.gui, module)
+            self.panels[key] = PanelView(self.client.gui, module)
 
     def _add_layer_box(self, toggle: str, title: str) -> None:
-        box = self._boxes[toggle] = self._client.gui.add_checkbox(title, True)
+        box = self._boxes[toggle] = self.client.gui.add_checkbox(title, True)
 
         @box.on_update
         async def _(_: viser.GuiEvent) -> None:
@@ -274,7 +280,7 @@ class Session:
         origin = {"config": ", from the configuration file", "set": ", set for this run"}
         value = f"{get(header.params, key)} {declared.unit}".rstrip() + origin.get(header.origins.get(key, ""), "")
         body = f"{declared.doc}: {value} (default {declared.default}). To change it, run with --set {key}=VALUE"
-        self._client.add_notification(key, body, auto_close_seconds=8)
+        self.client.add_notification(key, body, auto_close_seconds=8)
 
     # -- drawing -----------------------------------------------------------------------------------------------------
 
@@ -300,16 +306,16 @@ class Session:
             await asyncio.sleep(REST_S)
 
     def _render(self, k: int) -> None:
-        with self._client.atomic():
+        with self.client.atomic():
             self._show_progress()
             run = self._run
             if run is None:
-                for panel in self._panels.values():
+                for panel in self.panels.values():
                     panel.say(self.opened.error or self.opened.doing or "This run has no frames.")
                 return
             self.shown = k
             ctx = self._context(run, k)
-            for panel in self._panels.values():
+            for panel in self.panels.values():
                 if panel.key in self._visible:
                     panel.render(ctx)
             frame = self._scene_frame(k)

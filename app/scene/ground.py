@@ -1,4 +1,4 @@
-"""What gives the 3D view its bearings: a grid, the world's axes, and gravity."""
+"""What gives the 3D view its bearings: a level grid under the scene, the world's axes, and gravity."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ class GroundLayer:
             section_thickness=1.0,
             shadow_opacity=0.0,
         )
-        self._axes = scene.add_frame("/axes", axes_length=0.5, axes_radius=0.008, show_axes=True)
+        self._axes = scene.add_frame(
+            "/axes", axes_length=0.5, axes_radius=0.008, origin_radius=0.012, origin_color=SECTION
+        )
         self._gravity = scene.add_line_segments(
             "/axes/gravity",
             np.array([[[0, 0, 0], [0, 0, -0.5]]], np.float32),
@@ -45,8 +47,13 @@ class GroundLayer:
             self._grid.cell_size, self._grid.section_size = cell, 5 * cell
             self._grid.width = self._grid.height = 20 * cell
             self._axes.axes_length, self._axes.axes_radius = 0.5 * cell, 0.008 * cell
+            self._axes.origin_radius = 0.012 * cell
             self._gravity.points = np.array([[[0, 0, 0], [0, 0, -0.5 * cell]]], np.float32)
             self._label.position = (0, 0, -0.55 * cell)
+
+    def lower_to(self, z_m: float) -> None:
+        """Put the grid at this height, so that it lies under what is drawn."""
+        self._grid.position = (0, 0, z_m)
 
     def show(self, toggle: str, on: bool) -> None:
         if toggle == "grid":

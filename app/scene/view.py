@@ -14,8 +14,8 @@ from .selection import SelectionLayer
 from .trajectory import TrajectoryLayer
 from .window import WindowLayer
 
-LAYERS: tuple[type[Layer], ...] = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, GroundLayer)  # type: ignore[assignment]
-TOGGLES: dict[str, str] = {name: title for layer in LAYERS for name, title in layer.toggles.items()}
+LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer)
+TOGGLES: dict[str, str] = {name: title for layer in (*LAYERS, GroundLayer) for name, title in layer.toggles.items()}
 """Every layer that can be switched, with the title of its checkbox.  All are on by default."""
 
 VIEW = np.array([0.5, 0.75, -0.62])
@@ -27,7 +27,8 @@ COVERED = 0.26
 class SceneView:
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self._layers: list[Layer] = [layer(client.scene) for layer in LAYERS]  # type: ignore[call-arg]
+        self._ground = GroundLayer(client.scene)
+        self._layers: list[Layer] = [self._ground, *(layer(client.scene) for layer in LAYERS)]
         self._on = dict.fromkeys(TOGGLES, True)
 
     def update(self, frame: SceneFrame) -> None:
@@ -41,8 +42,10 @@ class SceneView:
 
     def fit(self, frame: SceneFrame, aspect: float) -> None:
         """Look at the whole run from above and aside; `aspect` is the view's width over its height."""
-        camera = self._client.camera
-        camera.position, camera.look_at = overview(worth_seeing(frame), float(camera.fov), aspect)
+        camera, points = self._client.camera, worth_seeing(frame)
+        camera.position, camera.look_at = overview(points, float(camera.fov), aspect)
+        if len(points):
+            self._ground.lower_to(float(points[:, 2].min()))
 
     def follow(self, frame: SceneFrame) -> None:
         """Look over the newest camera's shoulder."""
@@ -53,15 +56,19 @@ class SceneView:
 
 
 def worth_seeing(frame: SceneFrame, looks: int = 4) -> np.ndarray:
-    """(n, 3): the trajectory, and the nearer landmarks of a few frames spread over the run."""
+    """(n, 3): the trajectory, and the bulk of the nearer landmarks of a few frames spread over the run."""
     p = frame.series.p_w_b
     solved = np.flatnonzero(np.isfinite(p[:, 0]))
-    parts = [p[solved]]
+    near = [np.zeros((0, 3))]
     for k in solved[np.linspace(0, len(solved) - 1, looks).astype(int)] if len(solved) else ():
         xyz = by_status(frame.run.report(int(k)).landmarks)[LandmarkStatus.TRIANGULATED].astype(float)
         distance = np.linalg.norm(xyz - p[k], axis=1)
-        parts.append(xyz[distance <= np.median(distance)] if len(xyz) else xyz)
-    return np.concatenate(parts)
+        near.append(xyz[distance <= np.median(distance)] if len(xyz) else xyz)
+    bulk = np.concatenate(near)
+    if len(bulk):
+        low, high = np.percentile(bulk, [8, 92], axis=0)
+        bulk = bulk[((bulk >= low) & (bulk <= high)).all(1)]
+    return np.concatenate([p[solved], bulk])
 
 
 def overview(points: np.ndarray, fov: float, aspect: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,238 @@
+"""A session's rules, with a client that only takes notes: the latest wish wins, the user wins over the estimator."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+from fake_run import FRAMES, SPIKE
+
+from app.browser import GoTo, Page, Pick, Seek, Step
+from app.context import PanelContext, Selection
+from app.layout import shipped_layouts
+from app.panel_view import PANELS, PanelView, playhead
+from app.runs import OpenRun, open_path
+from app.session import Session
+
+Body = Callable[[Session], Coroutine[Any, Any, None]]
+
+
+@pytest.fixture(scope="module")
+def opened(run_folder: Path) -> OpenRun:
+    return open_path(run_folder)
+
+
+def client() -> MagicMock:
+    stub = MagicMock()
+    stub.gui.add_text.return_value._impl.uuid = "bridge"
+    stub.camera.image_width, stub.camera.image_height, stub.camera.fov = 1600, 950, 1.3
+    return stub
+
+
+def run_session(opened: OpenRun, body: Body) -> Session:
+    async def main() -> Session:
+        session = Session(client(), opened, shipped_layouts())
+        session._on_event(Page(("camera", "timeline"), 1600, 950, 640))
+        await settle(session)
+        await body(session)
+        session.close()
+        return session
+
+    return asyncio.run(main())
+
+
+async def settle(session: Session) -> None:
+    """Until everything wished for is drawn, however busy the machine is."""
+    for _ in range(3000):
+        await asyncio.sleep(0.01)
+        if session.idle:
+            return
+    raise AssertionError("the session never came to rest")
+
+
+def drawn_frames(session: Session) -> list[int]:
+    """The frames drawn from now on, as they are drawn."""
+    frames: list[int] = []
+    render = session._render
+    session._render = lambda k: (frames.append(k), render(k))[1]  # type: ignore[method-assign, func-returns-value]
+    return frames
+
+
+def test_only_the_last_of_many_wishes_is_drawn(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        frames = drawn_frames(session)
+        for k in range(1, 30):
+            session._on_event(GoTo(k))
+        await settle(session)
+        assert frames == [29]
+
+    run_session(opened, body)
+
+
+def test_wishes_beyond_the_run_end_at_its_ends(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        for event, frame in ((GoTo(10_000), FRAMES - 1), (GoTo(-7), 0), (Seek(7.0), FRAMES - 1), (Step(1), FRAMES - 1)):
+            session._on_event(event)
+            assert session.want == frame
+
+    run_session(opened, body)
+
+
+def test_a_step_ends_playing(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        session.play()
+        assert session.playing
+        session._on_event(Step(1))
+        assert not session.playing
+
+    run_session(opened, body)
+
+
+def test_playing_ends_at_the_end_and_starts_over_from_there(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        session.go(FRAMES - 2)
+        session.play()
+        while session.playing:
+            await asyncio.sleep(0.01)
+        await settle(session)
+        assert session.shown == FRAMES - 1
+        session.play()
+        assert session.playing and session.want == 0
+
+    run_session(opened, body)
+
+
+def test_keyframe_steps_visit_exactly_the_keyframes(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        assert opened.view is not None
+        visited = [0]
+        while True:
+            session.step(1, keyframe=True)
+            if session.want == visited[-1]:
+                break
+            visited.append(session.want)
+        assert visited == opened.view.series.keyframes.tolist()
+        session.step(-1, keyframe=True)
+        assert session.want == visited[-2]
+
+    run_session(opened, body)
+
+
+def test_the_worst_cost_is_where_the_spike_is(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        session.go_to_worst()
+        assert abs(session.want - SPIKE) <= 1
+
+    run_session(opened, body)
+
+
+def test_a_negative_pick_clears_the_selection(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        session._on_event(Pick("track", 5))
+        assert session.selection == Selection("track", 5)
+        session._on_event(Pick("track", -1))
+        assert session.selection == Selection()
+
+    run_session(opened, body)
+
+
+def test_a_selection_of_an_unknown_kind_changes_nothing(opened: OpenRun) -> None:
+    async def body(session: Session) -> None:
+        session._on_event(Pick("everything", 5))
+        assert session.selection == Selection()
+
+    run_session(opened, body)
+
+
+class Growing(OpenRun):
+    """A run that the estimator has not finished."""
+
+    @property
+    def growing(self) -> bool:
+        return True
+
+
+def test_the_newest_frame_is_shown_while_the_run_grows_until_the_user_takes_over(opened: OpenRun) -> None:
+    growing = Growing("room", None)
+    growing.view, growing.images = opened.view, opened.images
+
+    async def body(session: Session) -> None:
+        assert session.shown == FRAMES - 1
+        session._on_event(Step(-1))
+        session.refresh()
+        await settle(session)
+        assert session.shown == FRAMES - 2
+
+    run_session(growing, body)
+
+
+def test_only_panels_that_can_be_seen_are_rendered(opened: OpenRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered: set[str] = set()
+    original = PanelView.render
+    monkeypatch.setattr(PanelView, "render", lambda self, ctx: (rendered.add(self.key), original(self, ctx))[1])
+
+    async def body(session: Session) -> None:
+        assert rendered == {"camera", "timeline"}
+        session._on_event(Page(("gates", "timeline"), 1600, 950, 640))
+        rendered.clear()
+        await settle(session)
+        assert rendered == {"gates", "timeline"}
+
+    run_session(opened, body)
+
+
+def test_a_panel_that_fails_says_so_and_the_others_are_drawn(
+    opened: OpenRun, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(ctx: PanelContext) -> str:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(PANELS["camera"], "render", fail)
+
+    async def body(session: Session) -> None:
+        session.go(7)
+        await settle(session)
+        assert "failed at frame 7" in session.panels["camera"].content
+        assert 'data-frame="7"' in session.panels["timeline"].content
+
+    run_session(opened, body)
+    assert "camera" in caplog.text
+
+
+def test_a_run_without_frames_says_why_in_every_panel() -> None:
+    empty = OpenRun("room.bag", None, error="/data/room.bag: it is <not> a bag")
+
+    async def body(session: Session) -> None:
+        for panel in session.panels.values():
+            assert "it is &lt;not&gt; a bag" in panel.content
+
+    run_session(empty, body)
+
+
+def test_a_backdrop_is_sent_once_and_the_playhead_moves_without_it(opened: OpenRun) -> None:
+    assert opened.view is not None
+    sent: list[int] = []
+
+    class Plot(ModuleType):
+        KEY = "plot"
+        backdrop = staticmethod(lambda ctx: sent.append(ctx.frame) or "plots")
+        render = staticmethod(lambda ctx: f"value at {ctx.frame}")
+
+    panel = PanelView(MagicMock(), Plot("plot"))
+    for k in (3, 4, 5):
+        report = opened.view.report(k)
+        panel.render(PanelContext(opened.view, k, report, {}, Selection(), "", "", 1, 1))
+        assert panel.content == playhead(k, FRAMES) + f"value at {k}"
+    assert sent == [3]
+
+
+def test_the_playhead_runs_from_0_to_1() -> None:
+    shares = [float(playhead(k, 60).partition("--vi-head:")[2].partition("!")[0]) for k in range(60)]
+    np.testing.assert_allclose(shares, np.linspace(0, 1, 60), atol=1e-5)
+    assert "--vi-head:0.0" in playhead(0, 1)
