@@ -50,6 +50,13 @@ class Frontend:
     klt_epsilon: Annotated[float, Range(0.0001, 0.1), Doc("KLT stops when the step is shorter", "px")] = 0.01
     flow_back: Annotated[bool, Doc("track back and compare (parity for VINS-Mono: off)")] = True
     flow_back_px: Annotated[float, Range(0.1, 5), Doc("largest distance after tracking back", "px")] = 0.5
+    predict: Annotated[
+        bool, Doc("start flow where the gyroscope says the tracks went, on a flatter pyramid (parity: off)")
+    ] = False
+    predict_levels: Annotated[int, Range(0, 5), Doc("KLT pyramid levels above the image with prediction")] = 2
+    predict_min_share: Annotated[
+        float, Range(0, 1), Doc("when prediction keeps a smaller share of the tracks, flow alone is tried as well")
+    ] = 0.5
     border_px: Annotated[int, Range(0, 50), Doc("tracks nearer to the border are dropped", "px")] = 1
     f_ransac: Annotated[bool, Doc("reject tracks by the epipolar geometry of consecutive frames")] = True
     epipolar_model: Annotated[

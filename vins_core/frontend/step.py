@@ -8,11 +8,12 @@ import numpy as np
 
 from ..params import Frontend
 from ..report import Gate, LossReason, TrackReport
-from ..sensors import CameraCalibration, ImageSource, Packet
+from ..sensors import CameraCalibration, ImageRef, ImageSource, Packet
 from ..window.state import Observations
 from .detect import detect_corners, keep_spaced
 from .images import check_size, equalized, usable_area
 from .ledger import FATES, KEPT, TrackLedger
+from .predict import turn_between, turn_pixels
 from .reject import epipolar_inliers
 from .state import TrackerState
 from .track import follow
@@ -53,35 +54,52 @@ def track(
 def _follow_images(
     params: Frontend, camera: CameraCalibration, images: ImageSource, tracks: TrackLedger, packet: Packet
 ) -> list[Gate]:
-    """Move the tracks from image to image; those found again are one image older."""
+    """Move the tracks from image to image, or start over where time makes that impossible."""
     n, intervals_s = len(tracks), []
     for ref in packet.images:
-        image = equalized(images, ref, params)
-        check_size(image, camera, ref)
+        check_size(equalized(images, ref, params), camera, ref)
         if tracks.image is not None:
             dt_s = (ref.t_ns - tracks.image.t_ns) * 1e-9
-            intervals_s.append(dt_s if dt_s > 0 else np.nan)
+            intervals_s.append(dt_s)
             if not 0 < dt_s <= params.max_gap_s:
                 n = 0
                 tracks.drop(np.ones(len(tracks), bool), LossReason.RESET)
         if len(tracks):
-            assert tracks.image is not None
-            uv_px, fate = follow(equalized(images, tracks.image, params), image, tracks.uv_px, params)
-            rays = camera.model.lift(uv_px)
-            fate[(fate == KEPT) & ~np.isfinite(rays).all(1)] = FATES[LossReason.BORDER]  # the lens shows nothing there
-            tracks.end(fate)
-            tracks.move(ref, uv_px[fate == KEPT], rays[fate == KEPT])
+            _follow_image(params, camera, images, tracks, ref, packet)
         tracks.image = ref
 
     flow, back, border = (tracks.count_lost(r) for r in (LossReason.FLOW, LossReason.FLOW_BACK, LossReason.BORDER))
     gates = [_share("flow found", n - flow, n, params.min_flow_share, "min_flow_share")]
     if intervals_s:
-        longest_s = float(np.max(intervals_s))
+        longest_s = max(intervals_s) if min(intervals_s) > 0 else None
         gates.insert(0, Gate("image interval", longest_s, "<=", params.max_gap_s, "frontend.max_gap_s", "s"))
     if params.flow_back:
         found = n - flow - border
         gates.append(_share("flow-back agrees", found - back, found, params.min_flow_back_share, "min_flow_back_share"))
     return gates
+
+
+def _follow_image(
+    params: Frontend,
+    camera: CameraCalibration,
+    images: ImageSource,
+    tracks: TrackLedger,
+    ref: ImageRef,
+    packet: Packet,
+) -> None:
+    """Tracks found again in `ref` are one image older."""
+    assert tracks.image is not None
+    guess_px = None
+    if params.predict and len(packet.imu):
+        td_ns = int(packet.imu.t_ns[-1]) - packet.t_ns  # the last sample is at the frame
+        turn = turn_between(packet.imu, tracks.image.t_ns + td_ns, ref.t_ns + td_ns)
+        guess_px = turn_pixels(camera, turn, tracks.rays, tracks.uv_px)
+    previous, current = (equalized(images, image, params) for image in (tracks.image, ref))
+    uv_px, fate = follow(previous, current, tracks.uv_px, params, guess_px)
+    rays = camera.model.lift(uv_px)
+    fate[(fate == KEPT) & ~np.isfinite(rays).all(1)] = FATES[LossReason.BORDER]  # the lens shows nothing there
+    tracks.end(fate)
+    tracks.move(ref, uv_px[fate == KEPT], rays[fate == KEPT])
 
 
 def _reject(params: Frontend, camera: CameraCalibration, tracks: TrackLedger) -> Gate:

@@ -1,4 +1,4 @@
-"""Following points from one image to the next: pyramidal Lucas-Kanade with a check backwards (REFERENCE T4, T5, TF4).
+"""Following points from one image to the next: pyramidal Lucas-Kanade, checked backwards (REFERENCE T4, T5, TF2, TF4).
 
 Source: Bouguet, Pyramidal implementation of the Lucas Kanade feature tracker, 2000.
 """
@@ -17,43 +17,55 @@ BACK_LEVELS = 1
 
 
 def follow(
-    previous: np.ndarray, current: np.ndarray, uv_px: np.ndarray, params: Frontend
+    previous: np.ndarray, current: np.ndarray, uv_px: np.ndarray, params: Frontend, guess_px: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (n, 2) float32 in the current image and what became of each point, (n,) uint8 as in `ledger`."""
-    fate = np.full(len(uv_px), KEPT, np.uint8)
+    """Positions (n, 2) float32 in the current image and what became of each point, (n,) uint8 as in `ledger`.
+
+    With a guess of the positions (n, 2), flow starts there on the flatter pyramid.  When that keeps less than
+    `predict_min_share` of the points, the guess may be wrong: flow alone is tried too, and the better one counts (TF2).
+    """
     if not len(uv_px):
-        return uv_px, fate
-    found_px, found = _lucas_kanade(previous, current, uv_px, params, params.klt_levels)
+        return uv_px, np.zeros(0, np.uint8)
+    if guess_px is None:
+        return _there_and_back(previous, current, uv_px, params, params.klt_levels, uv_px)
+    guided = _there_and_back(previous, current, uv_px, params, params.predict_levels, guess_px)
+    kept = (guided[1] == KEPT).sum()
+    if kept >= params.predict_min_share * len(uv_px):
+        return guided
+    alone = _there_and_back(previous, current, uv_px, params, params.klt_levels, uv_px)
+    return alone if (alone[1] == KEPT).sum() > kept else guided
+
+
+def _there_and_back(
+    previous: np.ndarray, current: np.ndarray, uv_px: np.ndarray, params: Frontend, levels: int, guess_px: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    found_px, found = _lucas_kanade(previous, current, uv_px, params, levels, guess_px)
+    fate = np.full(len(uv_px), KEPT, np.uint8)
     fate[~found] = FATES[LossReason.FLOW]
     fate[found & ~_inside(found_px, current.shape, params.border_px)] = FATES[LossReason.BORDER]
     if params.flow_back:
         alive = np.flatnonzero(fate == KEPT)
-        start_px, back = _lucas_kanade(current, previous, found_px[alive], params, BACK_LEVELS, guess=uv_px[alive])
+        start_px, back = _lucas_kanade(current, previous, found_px[alive], params, BACK_LEVELS, uv_px[alive])
         error_px = np.linalg.norm(start_px - uv_px[alive], axis=1)
         fate[alive[~(back & (error_px <= params.flow_back_px))]] = FATES[LossReason.FLOW_BACK]
     return found_px, fate
 
 
 def _lucas_kanade(
-    previous: np.ndarray,
-    current: np.ndarray,
-    uv_px: np.ndarray,
-    params: Frontend,
-    levels: int,
-    guess: np.ndarray | None = None,
+    previous: np.ndarray, current: np.ndarray, uv_px: np.ndarray, params: Frontend, levels: int, guess_px: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Where points (n, 2) went, starting from a guess, and which were found, (n,) bool."""
     if not len(uv_px):
         return uv_px, np.zeros(0, bool)
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, params.klt_iterations, params.klt_epsilon)
     found_px, status, _ = cv2.calcOpticalFlowPyrLK(
         previous,
         current,
         np.ascontiguousarray(uv_px, np.float32),
-        np.array(uv_px if guess is None else guess, np.float32),
+        np.array(guess_px, np.float32),  # a copy: OpenCV writes its answer there
         winSize=(params.klt_window, params.klt_window),
         maxLevel=levels,
-        criteria=criteria,
-        flags=0 if guess is None else cv2.OPTFLOW_USE_INITIAL_FLOW,
+        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, params.klt_iterations, params.klt_epsilon),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     return found_px, status.ravel() == 1
 
