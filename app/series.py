@@ -132,7 +132,11 @@ def _events(summaries: Sequence[FrameSummary]) -> list[Event]:
     events = []
     for s in summaries:
         if s.n_anomalies:
-            events.append(Event(s.frame, "anomaly", f"{s.n_anomalies} anomalies in the recording at this frame"))
+            events.append(
+                Event(
+                    s.frame, "anomaly", f"{s.n_anomalies} anomal{'y' if s.n_anomalies == 1 else 'ies'} in the recording"
+                )
+            )
         if s.initialization is not None:
             kind = "attempt" if s.initialization else "initialized"
             events.append(Event(s.frame, kind, s.initialization or "initialised"))

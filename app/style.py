@@ -29,7 +29,7 @@ MONO = "'JetBrains Mono',Menlo,Consolas,'Liberation Mono','DejaVu Sans Mono',mon
 
 _BASE = f"""
 :root{{--vi-x:0px;--vi-y:0px;--vi-z:1;--vi-head:0}}
-.vi{{font:12px/1.4 {FONT};font-variant-numeric:tabular-nums;color:{TEXT};padding:0 10px 8px;letter-spacing:0}}
+.vi{{font:12px/1.4 {FONT};font-variant-numeric:tabular-nums;color:{TEXT};padding:0 14px 8px 10px;letter-spacing:0}}
 .vi *,.vi-tip *{{box-sizing:border-box}}
 .vi b{{color:{STRONG};font-weight:600}}
 .vi svg{{display:block}}
@@ -84,7 +84,7 @@ _TABLES = f"""
 """
 
 _GATES = f"""
-.vi-gates{{display:grid;grid-template-columns:14px minmax(90px,1fr) minmax(60px,max-content) minmax(110px,1.15fr);
+.vi-gates{{display:grid;grid-template-columns:14px minmax(84px,1fr) 82px minmax(112px,1.15fr);
  gap:0 9px;align-items:center;margin:2px 0 4px}}
 .vi-gates>.vi-rule{{grid-column:1/-1;height:1px;background:#2B3038;margin:5px 0}}
 .vi-gates .vi-val{{text-align:right;color:{STRONG};font-weight:600;white-space:nowrap}}
@@ -102,11 +102,11 @@ _GATES = f"""
 .vi-meter .vi-pass{{background:#2BC48A1F}} .vi-meter .vi-fill{{top:2px;bottom:2px;border-radius:2px}}
 .vi-meter u{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{STRONG};border-radius:1px}}
 .vi-meter.vi-none{{background:repeating-linear-gradient(135deg,{SUNKEN} 0 4px,{RAISED} 4px 6px)}}
-.vi-lamps{{display:flex;gap:2px;margin:4px 0 8px}}
-.vi-lamp{{flex:1 1 0;min-width:0;border-radius:4px;background:{SUNKEN};padding:4px 1px;text-align:center;
- font-size:10.5px;line-height:1.25;border-top:3px solid {CANDIDATE};color:{MUTED};overflow-wrap:break-word}}
-.vi-lamp svg{{margin:0 auto 2px}}
-.vi-lamp.vi-ok{{border-top-color:{OK};color:{TEXT}}} .vi-lamp.vi-bad{{border-top-color:{BAD};color:{TEXT};
+.vi-lamps{{display:grid;grid-template-columns:repeat(4,1fr);gap:3px;margin:4px 0 8px}}
+.vi-lamp{{display:flex;align-items:center;gap:5px;min-width:0;border-radius:4px;background:{SUNKEN};padding:4px 5px;
+ font-size:11px;line-height:1.2;border-left:3px solid {CANDIDATE};color:{MUTED}}}
+.vi-lamp svg{{flex:none;width:12px;height:12px}}
+.vi-lamp.vi-ok{{border-left-color:{OK};color:{TEXT}}} .vi-lamp.vi-bad{{border-left-color:{BAD};color:{TEXT};
  background:#2E1D18}}
 .vi-stage{{margin-top:12px;display:flex;gap:7px;align-items:baseline;flex-wrap:wrap}}
 .vi-stage b{{font-size:12.5px}}
@@ -122,12 +122,12 @@ _CAMERA = f"""
  transform:translate(var(--vi-x),var(--vi-y)) scale(var(--vi-z))}}
 .vi-zoom img,.vi-zoom svg{{position:absolute;inset:0;width:100%;height:100%;display:block}}
 :root.vi-magnified .vi-zoom img{{image-rendering:pixelated}}
-.vi-zoom circle{{r:calc(var(--r,3.4px)*var(--u)/var(--vi-z));stroke-width:calc(var(--s,1.3px)*var(--u)/var(--vi-z));
+.vi-zoom circle{{r:calc(var(--r,3.6px)*var(--u)/var(--vi-z));stroke-width:calc(var(--s,1.3px)*var(--u)/var(--vi-z));
  cursor:pointer}}
 .vi-zoom polyline{{fill:none;stroke-width:calc(var(--s,1.1px)*var(--u)/var(--vi-z));stroke-linejoin:round;opacity:.7;
  pointer-events:none}}
 .vi-zoom .x{{cursor:pointer}}
-.vi-zoom g path{{transform:scale(calc(var(--u)/var(--vi-z)))}}
+.vi-zoom g path{{transform:scale(calc(.85*var(--u)/var(--vi-z)))}}
 .vi-zoom .x path{{fill:none;stroke-width:1.8px;stroke-linecap:round}}
 .vi-zoom .x .h{{stroke:#000;stroke-opacity:.6;stroke-width:4px}}
 .vi-zoom .x:hover path:not(.h){{stroke:{SELECTION}}}
@@ -166,7 +166,7 @@ _PLOTS = f"""
 .vi-clock{{position:relative;height:14px;font-size:10px;color:{MUTED}}}
 .vi-clock span{{position:absolute;top:2px;transform:translateX(-50%);white-space:nowrap}}
 .vi-clock span:first-child{{transform:none}}
-.vi-keys{{color:{MUTED};margin-left:auto;white-space:nowrap}}
+.vi-keys{{color:{MUTED};margin-left:auto;text-align:right}}
 .vi-kf{{color:{ESTIMATE}}}
 .vi-time{{display:flex;gap:8px;align-items:stretch}}
 .vi-lanes{{position:relative;flex:0 0 58px}}

@@ -142,7 +142,7 @@ _WINDOW = {
     "window.imu": Tip(
         "IMU residual",
         "Between this frame and the one before it, whitened: a consistent model gives about √3 in each "
-        "of position, rotation, velocity and the biases. The bar shows the largest.",
+        "of position, rotation, velocity and the biases. The number is the largest of the five.",
         equation="| Σ^(−½) r |,  r = [δp δθ δv δb_a δb_g]",
         unit="sigma",
         source="I4; seeds 000.3.3.2, 004.23",
@@ -336,6 +336,13 @@ _STAGES = {
         equation="[v_0 … v_n, g, s]",
         source="N8; seeds 000.2.4, 004.16",
     ),
+    "stage.refinement": Tip(
+        "refinement",
+        "Vision and IMU adjust states, points, scale and gravity together; their disagreement, and how well "
+        "the scale is known, decide.",
+        equation="½ Σ |r_visual|² + ½ Σ |r_imu|² + ½ |b_a|² / σ²",
+        source="seeds 000.2.6, 004.20",
+    ),
     "stage.gravity": Tip(
         "gravity",
         "Gravity is refined on its tangent plane: its direction moves, its norm is known.",
@@ -354,6 +361,35 @@ _GATES = {
         equation="460 · mean |π(R f_i) − π(f_j)|",
         unit=_PX,
         source="W2, W4; seed 004.8",
+    ),
+    "gate.frontend.max_gap_s": Tip(
+        "image interval",
+        "Longest time between two images of this frame; longer resets the tracker.",
+        unit="s",
+        source="T1",
+    ),
+    "gate.frontend.min_flow_share": Tip(
+        "flow found",
+        "Share of the tracks that optical flow found again. Few: blur, fast motion, a dark image.",
+        source="T4; seed 004.4",
+    ),
+    "gate.frontend.min_flow_back_share": Tip(
+        "flow-back agrees",
+        "Share of the found tracks that return to where they were when tracked back. Few: repeated "
+        "texture, reflections, large steps.",
+        source="TF4; seed 004.28",
+    ),
+    "gate.frontend.min_inlier_share": Tip(
+        "F-RANSAC inliers",
+        "Share of the tracks that agree with one fundamental matrix between the previous frame and "
+        "this one. Few: moving objects, wrong tracks, wrong intrinsics.",
+        equation="dist(u', F u) ≤ frontend.F_threshold",
+        source="T7; seed 004.7",
+    ),
+    "gate.frontend.min_tracks": Tip(
+        "tracks",
+        "Tracks alive after the refill. Few: the image has little texture, or the mask covers it.",
+        source="T9",
     ),
     "gate.frontend.F_threshold": Tip(
         "F-RANSAC",
@@ -414,6 +450,32 @@ _GATES = {
         unit="m/s^2",
         source="N8; seed 004.16",
     ),
+    "gate.init.min_consistent_share": Tip(
+        "consistent points",
+        "Share of the structure's points whose reprojection error stays below window.max_error_px.",
+        source="N5",
+    ),
+    "gate.init.max_scale_sigma": Tip(
+        "scale sigma",
+        "Relative standard deviation of the scale after refinement: without changes of acceleration it "
+        "cannot be observed.",
+        equation="σ_s / s",
+        source="seed 004.16",
+    ),
+    "gate.init.max_imu_error": Tip(
+        "IMU error",
+        "RMS of the whitened IMU residuals after refinement; 1 where the noise model fits.",
+        equation="√(mean |Σ^(−½) r|²)",
+        unit="sigma",
+        source="seed 004.23",
+    ),
+    "gate.imu.max_interval_s": Tip(
+        "longest interval",
+        "Longest time between two frames of the window; the uncertainty of the pre-integration grows with it.",
+        unit="s",
+        source="I4",
+    ),
+    "gate.placed": Tip("placed", "Every frame found its place in the structure.", source="N4, N6"),
     "gate.scale": Tip("scale", "A negative scale turns the structure inside out.", source="N8, N9"),
     "gate.health.min_tracked": Tip("tracked", "Tracks shared with the previous frame.", source="F1"),
     "gate.health.max_acc_bias": Tip(

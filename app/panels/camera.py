@@ -20,7 +20,7 @@ TITLE = "Camera"
 ICON = "CAMERA"
 KEY = "camera"
 
-_MARKS_PER_WIDTH = 560
+_MARKS_PER_WIDTH = 480
 """Marks keep their size in CSS pixels when the image is about this wide on the page."""
 
 

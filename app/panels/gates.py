@@ -45,6 +45,7 @@ STAGES = (
     "gyroscope bias",
     "alignment",
     "gravity",
+    "refinement",
 )
 """Stages of an attempt in order, for lamps of stages that an attempt did not reach."""
 
@@ -115,9 +116,6 @@ def _attempt(attempt: InitReport) -> Html:
     return text((*parts, *(_stage(stage) for stage in ordered)))
 
 
-_SHORT = {"gyroscope bias": "gyro bias"}
-
-
 def _lamps(attempt: InitReport) -> Html:
     """One lamp a stage; stages that were not reached stay dark."""
     done = {stage.name: stage for stage in attempt.stages}
@@ -131,7 +129,7 @@ def _lamps(attempt: InitReport) -> Html:
             tag(
                 "div",
                 icon,
-                tag("span", _SHORT.get(name, name)),
+                tag("span", name),
                 cls=f"vi-lamp {tone}".strip(),
                 data_tip=_stage_tip(name),
                 data_lamp=name,

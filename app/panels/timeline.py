@@ -172,7 +172,8 @@ def render(ctx: PanelContext) -> str:
     if np.isfinite(series.ate_m[k]):
         chips.append(chip("ATE ", strong(number(100 * float(series.ate_m[k]))), unit("cm"), tip="ate"))
     for anomaly in report.anomalies:
-        chips.append(chip(f"{anomaly.topic}: {anomaly.kind}", tone="bad", title=anomaly.message))
+        where = f"{anomaly.topic}: " if anomaly.topic else ""
+        chips.append(chip(where, anomaly.kind.replace("_", " "), tone="bad", title=anomaly.message))
     if ctx.progress:
         chips.append(chip(ctx.progress, tone="imu"))
     hints = tag(

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 
 from vins_core.report import Gate
 
-from ..html import UNITS, Html, brief, number, send, tag, term, text, unit
+from ..html import Html, brief, number, send, tag, term, text, unit
 from ..palette import BAD, CANDIDATE, ESTIMATE, GROUND, OK
 from ..tooltips import gate_tip, parameter_tip
 
@@ -65,7 +65,7 @@ def quantity(value: float | None, unit_name: str = "") -> Html:
 
 
 def margin_words(gate: Gate, *, switch: bool = False) -> str:
-    """`7 short`, `0.4 m over`, `5 to spare`, `just at the limit`; of a switch `3 px away`, `4 px beyond`."""
+    """In the gate's unit: `7 short`, `0.4 over`, `5 to spare`; of a switch `3.1 away` or `4 beyond`."""
     margin = gate.margin
     if margin is None or not math.isfinite(margin):
         return "" if gate.value is None else "no margin"
@@ -75,8 +75,7 @@ def margin_words(gate: Gate, *, switch: bool = False) -> str:
         side = "away" if margin > 0 else "beyond"
     else:
         side = "to spare" if margin > 0 else "short" if gate.op.startswith(">") else "over"
-    name = UNITS.get(gate.unit, gate.unit)
-    return f"{brief(abs(margin))}{'' if not name or name == '°' else ' '}{name} {side}"
+    return f"{brief(abs(margin))} {side}"
 
 
 def meter(gate: Gate, colour: str) -> Html:
@@ -86,7 +85,7 @@ def meter(gate: Gate, colour: str) -> Html:
     low, high = _span(gate.value, gate.limit)
 
     def place(v: float) -> float:
-        return 100 * min(max((v - low) / (high - low), 0.0), 1.0)
+        return abs(100 * min(max((v - low) / (high - low), 0.0), 1.0))  # never -0
 
     zero, value, limit = place(0.0), place(gate.value), place(gate.limit)
     passing = (limit, 100.0) if gate.op.startswith(">") else (0.0, limit)

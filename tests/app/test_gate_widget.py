@@ -47,8 +47,8 @@ def test_a_switch_is_neither_right_nor_wrong():
     [
         (Gate("matches", 13, ">=", 20), "7 short"),
         (Gate("matches", 25, ">=", 20), "5 to spare"),
-        (Gate("turn", 0.87, "<=", 0.5, unit="deg"), "0.37° over"),
-        (Gate("jump", 0.25, "<=", 5, unit="m"), "4.75 m to spare"),
+        (Gate("turn", 0.87, "<=", 0.5, unit="deg"), "0.37 over"),
+        (Gate("jump", 0.25, "<=", 5, unit="m"), "4.75 to spare"),
         (Gate("matches", 20, ">", 20), "just at the limit"),
         (Gate("matches", None, ">", 20), ""),
         (Gate("cost", math.inf, "<=", 1.0), "no margin"),

@@ -3,8 +3,12 @@
 import dataclasses
 
 from fake_reports import FIRST_SOLVE, context, gate_values, lost_again, parse, run_with
+from synthetic_flight import fly, lively
 
 from app.panels import gates
+from app.tooltips import TIPS, gate_tip
+from vins_core.initialization.step import initialize
+from vins_core.params import Params
 from vins_core.report import Gate, InitReport, InitStage, Status
 
 
@@ -29,6 +33,16 @@ def test_an_attempt_lights_a_lamp_for_every_stage():
     assert tuple(lamps) == gates.STAGES
     passed = {s.name for s in context(FIRST_SOLVE).report.initialization.stages}
     assert {name for name, cls in lamps.items() if "vi-ok" in cls} == passed
+
+
+def test_lamps_are_in_the_order_of_a_real_attempt():
+    flight = fly(lively())
+    _, attempt = initialize(Params(), flight.calibration, flight.window, flight.history)
+    assert attempt.succeeded
+    assert tuple(stage.name for stage in attempt.stages) == gates.STAGES
+    for stage in attempt.stages:
+        assert f"stage.{stage.name}" in TIPS
+        assert all(gate_tip(gate) in TIPS for gate in stage.gates)
 
 
 def test_a_stage_of_another_version_gets_a_lamp_too():
@@ -114,7 +128,7 @@ def test_the_first_frame_decides_about_no_keyframe():
 def test_health_that_failed_comes_first_with_its_sentence():
     report = lost_again(context(30).report)
     markup = page(30, report=report, run=run_with(report))
-    assert "the bias is too large" in markup.text and "0.6 m/s² over" in markup.text
+    assert "the bias is too large" in markup.text and "0.6 over" in markup.text
     assert names(markup)[-len(report.health.gates)] == "accelerometer bias"
 
 
