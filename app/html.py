@@ -135,7 +135,7 @@ def term(label: Child, tip: str) -> Html:
 
 
 def chip(*content: Child, tone: str = "", tip: str = "", title: str = "") -> Html:
-    """A small label; `tone` is "", "ok", "bad", "est", "imu", "prior", "sel" or "quiet"."""
+    """A small label; `tone` is "", "ok", "bad", "est", "imu", "prior" or "sel"."""
     return tag("span", *content, cls=f"vi-chip vi-{tone}" if tone else "vi-chip", data_tip=tip, title=title)
 
 

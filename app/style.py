@@ -59,7 +59,6 @@ _CHIPS = f"""
 .vi-chip.vi-ok{{background:#143D30;color:#7FE8C0}} .vi-chip.vi-bad{{background:#4A2117;color:#FFB49E}}
 .vi-chip.vi-est{{background:#14364A;color:#9DD8F7}} .vi-chip.vi-imu{{background:#44340F;color:#FFD57A}}
 .vi-chip.vi-prior{{background:#38205A;color:#DDBBFF}} .vi-chip.vi-sel{{background:#3D3B18;color:{SELECTION}}}
-.vi-chip.vi-quiet{{background:none;padding:1px 0;color:{MUTED}}}
 .vi-chip.vi-ok b,.vi-chip.vi-bad b,.vi-chip.vi-est b{{color:inherit}}
 """
 
