@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vins_core.solver.layout import Block
+from vins_core.solver.layout import Variable
 from vins_core.solver.levenberg_marquardt import gauge_damping
 from vins_core.solver.linearize import Linearizer
 from vins_core.solver.problem import WindowProblem
@@ -35,7 +35,7 @@ def jacobian(problem: WindowProblem) -> tuple[np.ndarray, np.ndarray, Linearizer
     return np.concatenate(J), np.concatenate(r), linearizer
 
 
-def step(problem: WindowProblem, held_slot: int) -> dict[Block, np.ndarray]:
+def step(problem: WindowProblem, held_slot: int) -> dict[Variable, np.ndarray]:
     """The Gauss-Newton step by orthogonal decomposition, position and yaw of one pose held."""
     J, r, linearizer = jacobian(problem)
     layout, poses = linearizer.layout, problem.initial.poses
@@ -45,6 +45,6 @@ def step(problem: WindowProblem, held_slot: int) -> dict[Block, np.ndarray]:
     J, r = np.concatenate([J, hold]), np.append(r, np.zeros(6))
     scale = 1 / np.linalg.norm(J, axis=0)
     d = -scale * np.linalg.lstsq(J * scale, r, rcond=1e-15)[0]
-    blocks = [Block(kind, k) for kind in ("pose", "speed_bias") for k in range(problem.n_frames)]
-    blocks += [Block("extrinsic", k) for k in range(layout.n_extrinsics)]
+    blocks = [Variable(kind, k) for kind in ("pose", "speed_bias") for k in range(problem.n_frames)]
+    blocks += [Variable("extrinsic", k) for k in range(layout.n_extrinsics)]
     return {block: d[layout.columns_of([block])] for block in blocks}

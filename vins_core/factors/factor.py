@@ -9,7 +9,7 @@ CasADi's virtual machine over preallocated buffers (few rows).  Neither needs a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -59,17 +59,8 @@ class Factor:
     n_data: int
     residual: Residual
 
-    def columns(self, active: Sequence[str]) -> dict[str, slice]:
-        """The columns of J that belong to each active block, in the order of `blocks`."""
-        columns, start = {}, 0
-        for b in self.blocks:
-            if b.name in active:
-                columns[b.name] = slice(start, start + b.tangent)
-                start += b.tangent
-        return columns
-
     def function(self, active: tuple[str, ...]) -> ca.Function:
-        """(x_1, ..., x_k, data) -> [J r] as a CasADi function; J has the columns of the active blocks."""
+        """(x_1, ..., x_k, data) -> [J r] as a CasADi function; J has the columns of the active blocks, in order."""
         return _differentiate(self, active)
 
     def batch(self, n: int, active: tuple[str, ...], uniform: tuple[str, ...] = (), backend: str = "tape") -> Batch:
@@ -111,16 +102,6 @@ class Batch:
     inputs: list[np.ndarray]
     data: np.ndarray
     system: np.ndarray
-
-    @property
-    def r(self) -> np.ndarray:
-        """(n_r, n)."""
-        return self.system[-1]
-
-    @property
-    def J(self) -> np.ndarray:
-        """(columns, n_r, n)."""
-        return self.system[:-1]
 
     def evaluate(self) -> None:
         raise NotImplementedError

@@ -21,9 +21,6 @@ from .factor import Factor, pose, vector
 from .preintegration import Preintegration
 from .symbolic import conjugate, multiply, small_rotation
 
-PARTS = ("p", "q", "v", "ba", "bg")
-"""The five 3-vectors of the residual, in order."""
-
 _SPLIT = np.cumsum([0, 1, 3, 4, 3, 3, 3, 54, 1]).tolist()
 
 
@@ -58,15 +55,13 @@ IMU = Factor(
 ACTIVE = tuple(b.name for b in IMU.blocks)
 
 
-def measurement(
-    preintegrations: Sequence[Preintegration], gravity_m_s2: float, out: np.ndarray | None = None
-) -> np.ndarray:
-    """The data of the factor, one row per interval, (k, n_data)."""
-    out = np.empty((len(preintegrations), IMU.n_data)) if out is None else out
-    for row, m in zip(out, preintegrations):
+def measurement(preintegrations: Sequence[Preintegration], gravity_m_s2: float) -> np.ndarray:
+    """The data of the factor, one column per interval, (n_data, k)."""
+    rows = np.empty((len(preintegrations), IMU.n_data))
+    for row, m in zip(rows, preintegrations):
         row[0] = m.dt_s
         row[1:4], row[4:8], row[8:11] = m.delta_p, m.delta_q, m.delta_v
         row[11:14], row[14:17] = m.b_a, m.b_g
         row[17:71] = m.jacobian[:9].reshape(-1)
-        row[71] = gravity_m_s2
-    return out
+    rows[:, 71] = gravity_m_s2
+    return rows.T

@@ -45,8 +45,6 @@ _SCALAR = {
     ca.OP_SIN: "math.sin({0})",
     ca.OP_COS: "math.cos({0})",
 }
-
-
 _NAMES = ("add", "subtract", "multiply", "divide", "maximum", "minimum", "negative", "sqrt", "sin", "cos")
 
 

@@ -10,11 +10,13 @@ from .problem import States, WindowProblem
 
 
 class InertialTerm:
+    """The index structure of one problem's IMU factors."""
+
     def __init__(self, problem: WindowProblem, layout: Layout):
         slots, motions = zip(*problem.imu)
         self._first = first = np.array(slots)
         self._batch = imu.IMU.batch(len(motions), imu.ACTIVE, backend="vm")
-        imu.measurement(motions, problem.gravity_m_s2, out=self._batch.data.T)
+        self._batch.data[:] = imu.measurement(motions, problem.gravity_m_s2)
         self._whitening = np.stack([motion.whitening for motion in motions])
         blocks = [layout.columns(kind, k) for k in (first, first + 1) for kind in ("pose", "speed_bias")]
         self.columns = np.concatenate(blocks, 1)  # (K, 30)

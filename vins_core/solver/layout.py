@@ -12,7 +12,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Block:
+class Variable:
     """One variable of the cameras: `pose` or `speed_bias` of a slot, `extrinsic` of a camera."""
 
     kind: str  # "pose" | "speed_bias" | "extrinsic"
@@ -26,6 +26,8 @@ class Block:
 
 @dataclass(frozen=True)
 class Layout:
+    """The columns of a window of `n_frames`."""
+
     n_frames: int
     n_extrinsics: int  # free ones; 0 when they are held
 
@@ -39,17 +41,17 @@ class Layout:
         """D: all columns."""
         return self.visual + 9 * self.n_frames
 
-    def is_free(self, block: Block) -> bool:
-        return block.kind != "extrinsic" or block.slot < self.n_extrinsics
+    def is_free(self, variable: Variable) -> bool:
+        return variable.kind != "extrinsic" or variable.slot < self.n_extrinsics
 
     def columns(self, kind: str, slots: np.ndarray | list[int]) -> np.ndarray:
-        """(k, 6 or 9): the columns of a kind of block in each of k slots."""
+        """(k, 6 or 9): the columns of a kind of variable in each of k slots."""
         size = 9 if kind == "speed_bias" else 6
         return self._start(kind) + size * np.asarray(slots)[:, None] + np.arange(size)
 
-    def columns_of(self, blocks: list[Block]) -> np.ndarray:
-        """The columns of several blocks, one after the other."""
-        starts = [(self._start(b.kind) + b.size * b.slot, b.size) for b in blocks]
+    def columns_of(self, variables: list[Variable]) -> np.ndarray:
+        """The columns of several variables, one after the other."""
+        starts = [(self._start(v.kind) + v.size * v.slot, v.size) for v in variables]
         return np.array([column for start, size in starts for column in range(start, start + size)], np.int64)
 
     def _start(self, kind: str) -> int:

@@ -38,7 +38,7 @@ class Iteration:
     radius: float
     shrink: float  # divides the radius at the next rejection
     reports: tuple[IterationReport, ...] = ()
-    fall: float = float("inf")  # share of the cost that the last accepted step removed
+    fall: float = float("inf")  # share of the cost that the last step removed, or was expected to if it was rejected
 
 
 @dataclass(frozen=True)
@@ -58,31 +58,30 @@ def init(settings: params.Solver, linearizer: Linearizer, states: States) -> Ite
 def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iteration:
     """One trial step, accepted or not."""
     system = at.system
-    cost = system.cost.total
+    cost = max(system.cost.total, 1e-300)
     Dc = np.clip(system.H.diagonal(), 1e-6, 1e32)
     Dl = np.clip(system.h, 1e-6, 1e32)
     gauge = gauge_damping(at.states.poses[0])
     solved = schur.solve_damped(system, Dc / at.radius, Dl / at.radius, gauge)
-    ratio, step_norm, trial_cost = float("-inf"), float("nan"), float("nan")
+    ratio, step_norm, trial_cost, expected = float("nan"), float("nan"), float("nan"), float("inf")
     if solved is not None:
         dc, dl = solved
         step_norm = float(np.sqrt(dc @ dc + dl @ dl))
         # the model falls by -g.d - d'Hd/2, and (H + damping) d = -g
         damping = ((Dc * dc) @ dc + (Dl * dl) @ dl) / at.radius + dc[:6] @ gauge @ dc[:6]
-        predicted = 0.5 * (damping - system.g @ dc - system.g_l @ dl)
+        expected = 0.5 * float(damping - system.g @ dc - system.g_l @ dl)
         states = linearizer.retract(at.states, dc, dl)
         trial = linearizer.linearize(states)
         trial_cost = trial.cost.total
-        if np.isfinite(trial_cost) and predicted > 0:
-            ratio = (cost - trial_cost) / float(predicted)
+        if np.isfinite(trial_cost) and expected > 0:
+            ratio = (cost - trial_cost) / expected
     accepted = ratio > settings.min_gain_ratio
     report = IterationReport(trial_cost, accepted, step_norm, ratio, at.radius)
     reports = (*at.reports, report)
     if not accepted:
-        return replace(at, radius=at.radius / at.shrink, shrink=2.0 * at.shrink, reports=reports)
+        return replace(at, radius=at.radius / at.shrink, shrink=2.0 * at.shrink, reports=reports, fall=expected / cost)
     radius = min(at.radius / max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), settings.max_radius)
-    fall = (cost - trial_cost) / cost if cost > 0 else 0.0
-    return Iteration(states, trial, radius, 2.0, reports, fall)
+    return Iteration(states, trial, radius, 2.0, reports, (cost - trial_cost) / cost)
 
 
 def gauge_damping(pose: np.ndarray) -> np.ndarray:
@@ -101,8 +100,8 @@ def terminate(settings: params.Solver, at: Iteration, max_iterations: int) -> st
         return "not started: the cost of the initial state is not finite"
     if at.system.cost.total == 0:
         return "converged: the cost is zero"
-    if at.reports and at.reports[-1].accepted and at.fall < settings.function_tolerance:
-        return f"converged: the cost fell by less than {settings.function_tolerance:g} of itself"
+    if at.fall < settings.function_tolerance:
+        return f"converged: the cost falls by less than {settings.function_tolerance:g} of itself"
     if at.radius < 1e-32:
         return "stopped: no step lowers the cost"
     if len(at.reports) >= max_iterations:

@@ -10,6 +10,8 @@ from .problem import PriorFactor, States
 
 
 class PriorTerm:
+    """Where the parts of one prior are among the states and columns of a problem."""
+
     def __init__(self, factor: PriorFactor, layout: Layout):
         self._factor = factor
         blocks = factor.blocks

@@ -14,7 +14,7 @@ import numpy as np
 from ..factors.preintegration import Preintegration
 from ..factors.robust import Loss
 from ..geometry import so3
-from .layout import Block
+from .layout import Variable
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class States:
     extrinsics: np.ndarray  # (cameras, 7) p_b_c, q_b_c
     inv_depths: np.ndarray  # (M,) 1/m along z of the anchor camera
 
-    def value(self, block: Block) -> np.ndarray:
+    def value(self, variable: Variable) -> np.ndarray:
         tables = {"pose": self.poses, "speed_bias": self.speed_biases, "extrinsic": self.extrinsics}
-        return tables[block.kind][block.slot]
+        return tables[variable.kind][variable.slot]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Projections:
 class PriorFactor:
     """r + J (x [-] x0) over `blocks`, whose tangents are the columns of J in this order."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[Variable, ...]
     x0: tuple[np.ndarray, ...]  # per block, (7,) or (9,)
     J: np.ndarray  # (n, n)
     r: np.ndarray  # (n,)
@@ -68,6 +68,8 @@ class PriorFactor:
 
 @dataclass(frozen=True)
 class WindowProblem:
+    """The whole problem; see the top of this file."""
+
     initial: States
     projections: Projections
     imu: tuple[tuple[int, Preintegration], ...]  # (k, motion from slot k to slot k + 1)
@@ -91,8 +93,3 @@ class WindowProblem:
 def retract_poses(x: np.ndarray, d: np.ndarray) -> np.ndarray:
     """(k, 7) [+] (k, 6)."""
     return np.concatenate([x[:, :3] + d[:, :3], so3.retract(x[:, 3:], d[:, 3:])], 1)
-
-
-def difference_poses(x: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """d (k, 6) with x = reference [+] d."""
-    return np.concatenate([x[:, :3] - reference[:, :3], so3.difference(x[:, 3:], reference[:, 3:])], 1)

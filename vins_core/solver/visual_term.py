@@ -55,6 +55,7 @@ class VisualTerm:
         """[J r] of every projection with the robust weight, (c + 2, 2, N); r without it (2, N); the cost.
 
         The last two columns are the inverse depth and the residual; the others belong to `columns[pair]`.
+        The first array is a buffer: valid until the next call.
         """
         table, batch, loss = self.table, self._batch, self._loss
         poses = np.ascontiguousarray(states.poses.T)
@@ -62,12 +63,13 @@ class VisualTerm:
         poses.take(table.observer, 1, batch.inputs[1], "clip")
         batch.inputs[2][:] = states.extrinsics[table.camera]
         states.inv_depths.take(table.landmark, 0, batch.inputs[3][0], "clip")
-        batch.evaluate()
         system = batch.system
-        r = system[-1].copy()
-        s = r[0] * r[0] + r[1] * r[1]
-        system *= loss.weight(s)
-        return system, r, 0.5 * float(loss.rho(s).sum())
+        with np.errstate(all="ignore"):  # a point in the camera's plane gives no finite cost, and the step is rejected
+            batch.evaluate()
+            r = system[-1].copy()
+            s = r[0] * r[0] + r[1] * r[1]
+            system *= loss.weight(s)
+            return system, r, 0.5 * float(loss.rho(s).sum())
 
     def linearize(
         self, states: States, JtJ: np.ndarray, Jtr: np.ndarray

@@ -16,13 +16,13 @@ from ..factors.robust import Loss
 from ..geometry import so3
 from ..params import Params
 from ..report import SolveReport
-from ..solver.layout import Block
+from ..solver.layout import Variable
 from ..solver.levenberg_marquardt import Solution
 from ..solver.problem import PriorFactor, Projections, States, WindowProblem
 from .state import OUTLIER, Landmarks, WindowFrame, WindowState
 
-MIN_ANCHOR_Z = 0.05
-"""Smallest z of an anchor's unit ray: inverse depth along z means nothing for a ray across or against it."""
+MIN_RAY_Z = 0.05
+"""Smallest z of a unit ray that has an inverse depth along z, or a place on the normalised plane."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class Tracks:
 
 
 def gather_tracks(frames: tuple[WindowFrame, ...]) -> Tracks:
+    """The tracks of `frames`, oldest first."""
     observations = [f.observations for f in frames]
     ids = np.concatenate([o.ids for o in observations])
     order = np.argsort(ids, kind="stable")  # frames come oldest first, so equal ids stay in slot order
@@ -94,14 +95,14 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         usable &= inv_depth > 0  # False for NaN
     usable &= tracks.count >= params.window.min_observations
     usable &= tracks.anchor < len(frames) - 3
-    usable &= tracks.rays[tracks.start[:-1], 2] > MIN_ANCHOR_Z
+    usable &= tracks.rays[tracks.start[:-1], 2] > MIN_RAY_Z
 
     landmark = np.cumsum(usable) - 1
     is_factor = usable[tracks.track]
     is_factor[tracks.start[:-1]] = False
     observation = np.flatnonzero(is_factor)
     if params.projection.residual == "plane":
-        observation = observation[tracks.rays[observation, 2] > MIN_ANCHOR_Z]
+        observation = observation[tracks.rays[observation, 2] > MIN_RAY_Z]
     track = tracks.track[observation]
     projections = Projections(
         tracks.anchor[track],
@@ -137,7 +138,7 @@ def _place_prior(window: WindowState) -> PriorFactor | None:
         return None
     slot = {f.frame: k for k, f in enumerate(window.frames)}
     prior = window.prior
-    blocks = tuple(Block(b.kind, b.id if b.kind == "extrinsic" else slot[b.id]) for b in prior.blocks)
+    blocks = tuple(Variable(b.kind, b.id if b.kind == "extrinsic" else slot[b.id]) for b in prior.blocks)
     return PriorFactor(blocks, prior.x0, prior.J, prior.r)
 
 
@@ -166,6 +167,7 @@ def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowSta
 
 
 def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
+    """Costs, iterations, and what each factor says at the solution."""
     problem = assembly.problem
     table = problem.projections
     residuals = solution.system.residuals

@@ -22,7 +22,7 @@ from ..params import Params
 from ..report import BlockReport, MarginalizationReport
 from ..solver import schur
 from ..solver.inertial_term import InertialTerm
-from ..solver.layout import Block, Layout
+from ..solver.layout import Layout, Variable
 from ..solver.linearize import Linearizer
 from ..solver.prior_term import PriorTerm
 from ..solver.problem import WindowProblem
@@ -49,7 +49,7 @@ def marginalize_oldest(
         imu=tuple((k, m) for k, m in problem.imu if k == 0),
         free_extrinsics=True,
     )
-    dropped = [Block("pose", 0), Block("speed_bias", 0)]
+    dropped = [Variable("pose", 0), Variable("speed_bias", 0)]
     return _marginalize(params, window, part, dropped, assembly.ids[leaving], "MARGIN_OLD")
 
 
@@ -72,14 +72,14 @@ def marginalize_second_newest(
         imu=(),
         free_extrinsics=True,
     )
-    return _marginalize(params, window, part, [Block("pose", slot)], np.zeros(0, np.int64), "MARGIN_SECOND_NEW")
+    return _marginalize(params, window, part, [Variable("pose", slot)], np.zeros(0, np.int64), "MARGIN_SECOND_NEW")
 
 
 def _marginalize(
     params: Params,
     window: WindowState,
     problem: WindowProblem,
-    dropped: list[Block],
+    dropped: list[Variable],
     landmark_ids: np.ndarray,
     kind: str,
 ) -> tuple[Prior | None, MarginalizationReport]:
@@ -156,25 +156,25 @@ def _eliminate(J_m: np.ndarray, J_k: np.ndarray, r: np.ndarray) -> tuple[np.ndar
     return square[:, :n], square[:, n]
 
 
-def _touched(problem: WindowProblem) -> list[Block]:
+def _touched(problem: WindowProblem) -> list[Variable]:
     """The blocks that some factor of the problem touches: poses, speed-biases, extrinsics."""
     touched = set(problem.prior.blocks) if problem.prior else set()
     for k, _ in problem.imu:
-        touched |= {Block(kind, slot) for kind in ("pose", "speed_bias") for slot in (k, k + 1)}
+        touched |= {Variable(kind, slot) for kind in ("pose", "speed_bias") for slot in (k, k + 1)}
     table = problem.projections
     if len(table):
-        touched |= {Block("pose", int(slot)) for slot in np.union1d(table.anchor, table.observer)}
-        touched.add(Block("extrinsic", table.camera))
+        touched |= {Variable("pose", int(slot)) for slot in np.union1d(table.anchor, table.observer)}
+        touched.add(Variable("extrinsic", table.camera))
     order = ("pose", "speed_bias", "extrinsic")
     return sorted(touched, key=lambda block: (order.index(block.kind), block.slot))
 
 
 def _reports(
-    frames: list[int], dropped: list[Block], landmark_ids: np.ndarray, kept: list[Block]
+    frames: list[int], dropped: list[Variable], landmark_ids: np.ndarray, kept: list[Variable]
 ) -> tuple[BlockReport, ...]:
     """Every block in the order of the marginalisation's H: dropped cameras, landmarks, then what is kept."""
 
-    def name(block: Block) -> str:
+    def name(block: Variable) -> str:
         if block.kind == "extrinsic":
             return f"extrinsic cam{block.slot}"
         return f"{block.kind} {block.slot} (frame {frames[block.slot]})"

@@ -25,19 +25,19 @@ def test_jacobian_matches_differences(seed):
     x_i, x_j, motion = interval(seed)
     x_i[1] = x_i[1] + rng.normal(0, 0.02, 9)  # off the bias of integration
     x_j[0] = np.append(x_j[0][:3] + rng.normal(0, 0.05, 3), so3.retract(x_j[0][3:], rng.normal(0, 0.02, 3)))
-    data = measurement([motion], sw.GRAVITY)[0]
+    data = measurement([motion], sw.GRAVITY)[:, 0]
     assert_jacobian_matches_differences(IMU, [*x_i, *x_j], data)
 
 
 def test_residual_vanishes_at_the_true_states():
     x_i, x_j, motion = interval()
-    r = residual(IMU, [*x_i, *x_j], measurement([motion], sw.GRAVITY)[0])
+    r = residual(IMU, [*x_i, *x_j], measurement([motion], sw.GRAVITY)[:, 0])
     np.testing.assert_allclose(r, 0, atol=2e-7)
 
 
 def test_residual_does_not_see_position_and_yaw():
     x_i, x_j, motion = interval()
-    data = measurement([motion], sw.GRAVITY)[0]
+    data = measurement([motion], sw.GRAVITY)[:, 0]
     turn = so3.exp(np.array([0, 0, 1.2]))
 
     def moved(x):
@@ -61,7 +61,7 @@ def test_first_order_bias_correction_equals_integrating_again():
         x_i[1][3:] = np.append(b_a, b_g)
         again = preintegrate(motion.imu, b_a, b_g, sw.NOISE)
         rows = measurement([motion, again], sw.GRAVITY)
-        corrected, exact = (residual(IMU, [*x_i, *x_j], row) for row in rows)
+        corrected, exact = (residual(IMU, [*x_i, *x_j], row) for row in rows.T)
         errors.append(np.abs(corrected - exact)[:9].max())
     assert errors[0] < 1e-5
     assert errors[1] < errors[0] / 50  # what is left out is of second order
@@ -84,7 +84,7 @@ def test_vm_batch_equals_single_evaluations():
     x_i, x_j, motion = interval()
     rng = np.random.default_rng(0)
     batch = IMU.batch(3, ACTIVE, backend="vm")
-    data = measurement([motion], sw.GRAVITY)[0]
+    data = measurement([motion], sw.GRAVITY)[:, 0]
     speeds = x_i[1] + rng.normal(0, 0.1, (3, 9))
     for k in range(3):
         for block, value in zip(batch.inputs, [x_i[0], speeds[k], *x_j]):

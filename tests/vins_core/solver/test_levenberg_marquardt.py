@@ -119,6 +119,9 @@ def test_termination_says_why():
     p = built.problem
     assert lm.solve(SETTINGS, 2, p).termination == "stopped after 2 iterations"
     assert "less than 0.001 of itself" in lm.solve(replace(SETTINGS, function_tolerance=1e-3), 50, p).termination
+    optimum = lm.solve(replace(SETTINGS, function_tolerance=0.0), 40, p).states
+    again = lm.solve(SETTINGS, 8, replace(p, initial=optimum))
+    assert len(again.iterations) == 1 and again.termination.startswith("converged")
     empty = replace(p, projections=p.projections[:0], imu=(), prior=None)
     assert lm.solve(SETTINGS, 8, empty).termination == "converged: the cost is zero"
     lost = replace(p.initial, poses=np.full_like(p.initial.poses, np.nan))

@@ -8,7 +8,7 @@ import synthetic_window as sw
 from vins_core import params as settings
 from vins_core.geometry import so3
 from vins_core.params import Params
-from vins_core.solver.layout import Block
+from vins_core.solver.layout import Variable
 from vins_core.window.assemble import assemble
 from vins_core.window.marginalize import marginalize_oldest, marginalize_second_newest
 from vins_core.window.state import OUTLIER, BlockKey, Landmarks, Observations, Prior
@@ -46,7 +46,7 @@ def test_marginalising_then_solving_equals_solving_everything(form, free_extrins
     reduced = dense.step(replace(rest, free_extrinsics=free_extrinsics), held_slot=0)
     worst = max(np.abs(d).max() for d in full.values())
     for block, d in reduced.items():
-        same = block if block.kind == "extrinsic" else Block(block.kind, block.slot + 1)
+        same = block if block.kind == "extrinsic" else Variable(block.kind, block.slot + 1)
         np.testing.assert_allclose(d, full[same], atol=1e-7 * worst)
 
 
