@@ -69,7 +69,8 @@ def tangent_basis(rays: np.ndarray) -> np.ndarray:
 def measurement(form: str, rays_i: np.ndarray, rays_j: np.ndarray, sqrt_info: float) -> np.ndarray:
     """The data of the factor, one column per projection, (n_data, n).
 
-    `rays_i`, `rays_j` (n, 3) are unit rays in the anchoring and in the observing camera; `sqrt_info` is 1/sigma in 1/rad or 1/(normalised coordinate): FOCAL_PX / (sigma in px460).
+    `rays_i`, `rays_j` (n, 3) are unit rays in the anchoring and in the observing camera; `sqrt_info` is 1/sigma of a
+    normalised coordinate (plane) or of an angle in radians (sphere): FOCAL_PX / (sigma in px460).
     """
     anchor = rays_i[:, :2] / rays_i[:, 2:]
     scale = np.full((1, len(rays_i)), sqrt_info)

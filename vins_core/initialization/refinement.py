@@ -151,7 +151,7 @@ class _Inertial:
 
     def __init__(self, imu: Sequence[Preintegration], gravity_m_s2: float, acc_bias_sigma: float):
         self._batch = imu_factor.IMU.batch(len(imu), imu_factor.ACTIVE, backend="vm")
-        imu_factor.measurement(imu, gravity_m_s2, out=self._batch.data.T)
+        self._batch.data[:] = imu_factor.measurement(imu, gravity_m_s2)
         # the random walk of the biases is left out: rows p, q, v of the triangular whitening stand on their own
         self._whitening = np.stack([p.whitening[:9, :9] for p in imu])
         self._acc_bias_information = 1.0 / acc_bias_sigma**2
