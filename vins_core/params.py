@@ -51,11 +51,14 @@ class Frontend:
     flow_back: Annotated[bool, Doc("track back and compare (parity for VINS-Mono: off)")] = True
     flow_back_px: Annotated[float, Range(0.1, 5), Doc("largest distance after tracking back", "px")] = 0.5
     predict: Annotated[
-        bool, Doc("start flow where the gyroscope says the tracks went, on a flatter pyramid (parity: off)")
-    ] = False
+        Literal["off", "rescue", "always"],
+        Doc("start flow where the gyroscope says the tracks went: only when too few are found otherwise, or always"),
+    ] = "rescue"
     predict_levels: Annotated[int, Range(0, 5), Doc("KLT pyramid levels above the image with prediction")] = 2
     predict_min_share: Annotated[
-        float, Range(0, 1), Doc("when prediction keeps a smaller share of the tracks, flow alone is tried as well")
+        float,
+        Range(0, 1),
+        Doc("share of tracks to be found; below it prediction (or flow without it) is tried as well"),
     ] = 0.5
     border_px: Annotated[int, Range(0, 50), Doc("tracks nearer to the border are dropped", "px")] = 1
     f_ransac: Annotated[bool, Doc("reject tracks by the epipolar geometry of consecutive frames")] = True

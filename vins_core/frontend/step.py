@@ -90,7 +90,7 @@ def _follow_image(
     """Tracks found again in `ref` are one image older."""
     assert tracks.image is not None
     guess_px = None
-    if params.predict and len(packet.imu):
+    if params.predict != "off" and len(packet.imu):
         td_ns = int(packet.imu.t_ns[-1]) - packet.t_ns  # the last sample is at the frame
         turn = turn_between(packet.imu, tracks.image.t_ns + td_ns, ref.t_ns + td_ns)
         guess_px = turn_pixels(camera, turn, tracks.rays, tracks.uv_px)

@@ -21,19 +21,24 @@ def follow(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Positions (n, 2) float32 in the current image and what became of each point, (n,) uint8 as in `ledger`.
 
-    With a guess of the positions (n, 2), flow starts there on the flatter pyramid.  When that keeps less than
-    `predict_min_share` of the points, the guess may be wrong: flow alone is tried too, and the better one counts (TF2).
+    With a guess of the positions (n, 2) there are two ways to go: flow alone, and flow from the guess on a flatter
+    pyramid; `params.predict` says which comes first.  When it keeps less than `predict_min_share` of the points, the
+    other is tried as well, and the better one counts (after TF2).
     """
     if not len(uv_px):
         return uv_px, np.zeros(0, np.uint8)
-    if guess_px is None:
-        return _there_and_back(previous, current, uv_px, params, params.klt_levels, uv_px)
-    guided = _there_and_back(previous, current, uv_px, params, params.predict_levels, guess_px)
-    kept = (guided[1] == KEPT).sum()
-    if kept >= params.predict_min_share * len(uv_px):
-        return guided
-    alone = _there_and_back(previous, current, uv_px, params, params.klt_levels, uv_px)
-    return alone if (alone[1] == KEPT).sum() > kept else guided
+    ways = [(params.klt_levels, uv_px)]
+    if guess_px is not None:
+        ways.insert(0 if params.predict == "always" else 1, (params.predict_levels, guess_px))
+    best, most = (uv_px, np.full(len(uv_px), FATES[LossReason.FLOW])), -1
+    for levels, start_px in ways:
+        attempt = _there_and_back(previous, current, uv_px, params, levels, start_px)
+        kept = int((attempt[1] == KEPT).sum())
+        if kept > most:
+            best, most = attempt, kept
+        if most >= params.predict_min_share * len(uv_px):
+            break
+    return best
 
 
 def _there_and_back(
