@@ -28,15 +28,13 @@ class OpenRun:
         self.title = title
         self.job = job
         self.error = error
+        self.growing = job is not None
         self.view: RunView | None = None
         self.images = Images(NoImages("this run has no images"))
         self.map = LandmarkMap()
         self._folder = folder
+        self._told: tuple[object, ...] = ()
         self._reader: RunReader | None = None
-
-    @property
-    def growing(self) -> bool:
-        return self.job is not None and self.job.running
 
     @property
     def progress(self) -> float | None:
@@ -47,24 +45,33 @@ class OpenRun:
 
     @property
     def doing(self) -> str:
-        """One sentence about the estimator; empty when the run is finished."""
-        if not self.growing:
-            return ""
-        if self.view is None:
-            return "The estimator is starting."
-        expected = self.view.header.expected_frames
-        return f"The estimator is at frame {len(self.view)}" + (f" of about {expected}." if expected else ".")
+        """One sentence about the estimator: where it is, or that it ended early; empty when the run is finished."""
+        if self._reader is None or self.view is None:
+            return "The estimator is starting." if self.growing else ""
+        if self.growing:
+            expected = self.view.header.expected_frames
+            return f"The estimator is at frame {len(self.view)}" + (f" of about {expected}." if expected else ".")
+        match self._reader.outcome:
+            case "finished":
+                return ""
+            case "interrupted" | None:
+                return f"The estimator was stopped after frame {len(self.view) - 1}."
+            case sentence:
+                return f"The estimator stopped: {sentence}"
 
     def poll(self) -> bool:
         """Read what has been written since the last look; True when a tab has something new to show."""
-        before = (0 if self.view is None else len(self.view), self.growing, self.error)
+        running = self.job is not None and self.job.running  # asked first, so that nothing written later is missed
         try:
             self._read()
         except VinspectError as problem:
             self.error = str(problem)
-        if self.job is not None and self.job.error:
-            self.error = self.job.error
-        return before != (0 if self.view is None else len(self.view), self.growing, self.error)
+        if self.job is not None:
+            self.growing, self.error = running, self.job.error or self.error
+        elif self._reader is not None:
+            self.growing = self._reader.growing
+        told, self._told = self._told, (0 if self.view is None else len(self.view), self.growing, self.error)
+        return told != self._told
 
     def extend_map(self) -> bool:
         """Read a few more reports into the map of passed landmarks; False when it is complete."""

@@ -367,9 +367,10 @@ class Session:
 
     def _show_progress(self) -> None:
         growing, share = self.opened.growing, self.opened.progress
-        for handle in (self._progress, self._cancel):
-            if handle.visible != growing:
-                handle.visible = growing
+        if self._progress.visible != growing:
+            self._progress.visible = self._cancel.visible = growing
+            if not growing:
+                self.client.gui.main_panel.minimize()
         if share is not None:
             set_value(self._progress, 100 * share)
 

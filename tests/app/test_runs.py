@@ -81,6 +81,19 @@ def test_frames_appear_while_the_estimator_runs_and_all_are_there_at_the_end(tmp
     assert opened.error == opened.doing == ""
 
 
+def test_a_run_that_another_program_writes_grows_in_the_page(tmp_path: Path) -> None:
+    run = fake_run(20)
+    writer = RunWriter(tmp_path / "run", run.header, run.truth, images=run)
+    for k in range(5):
+        writer.append(run.reports[k], {})
+    opened = open_path(tmp_path / "run")
+    assert opened.view is not None and len(opened.view) == 5 and opened.growing
+    writer.append(run.reports[5], {})
+    assert opened.poll() and len(opened.view) == 6
+    writer.close()
+    assert opened.poll() and not opened.growing and opened.doing == ""
+
+
 def test_progress_is_the_share_of_the_expected_frames(tmp_path: Path) -> None:
     opened = opened_with(estimate_slowly, tmp_path)
     wait_until(lambda: opened.poll() and opened.view is not None)
@@ -95,19 +108,19 @@ def test_a_cancelled_estimator_leaves_what_it_has_done_and_no_error(tmp_path: Pa
     opened.poll()
     assert opened.view is not None and 0 < len(opened.view) < FRAMES
     assert opened.error == "" and not opened.growing
+    assert opened.doing == f"The estimator was stopped after frame {len(opened.view) - 1}."
 
 
 def test_what_the_estimator_complains_of_is_the_page_s_sentence(tmp_path: Path) -> None:
     opened = opened_with(complain, tmp_path)
-    wait_until(lambda: not opened.growing)
-    opened.poll()
+    wait_until(lambda: opened.poll() and not opened.growing)
     assert opened.error == f"{(tmp_path / 'room.bag').resolve()}: no images in it"
 
 
 def test_an_estimator_that_dies_is_told(tmp_path: Path) -> None:
     opened = opened_with(crash, tmp_path)
-    wait_until(lambda: not opened.growing)
-    opened.poll()
+    wait_until(lambda: opened.poll() and not opened.growing)  # that it ended is news
+    assert not opened.poll()
     assert "unexpectedly" in opened.error and "7" in opened.error
 
 

@@ -150,17 +150,9 @@ def test_a_selection_of_an_unknown_kind_changes_nothing(opened: OpenRun) -> None
     run_session(opened, body)
 
 
-class Growing(OpenRun):
-    """A run that the estimator has not finished."""
-
-    @property
-    def growing(self) -> bool:
-        return True
-
-
 def test_the_newest_frame_is_shown_while_the_run_grows_until_the_user_takes_over(opened: OpenRun) -> None:
-    growing = Growing("room", None)
-    growing.view, growing.images = opened.view, opened.images
+    growing = OpenRun("room", None)
+    growing.view, growing.images, growing.growing = opened.view, opened.images, True
 
     async def body(session: Session) -> None:
         assert session.shown == FRAMES - 1
