@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -29,17 +30,18 @@ def run(recording: Path, calib: list[Path], changes: dict, start_s: float, durat
 
     from vins_core import params as P
     from vins_core import pipeline
-    from vins_core.evaluation.metrics import evaluate
+    from vins_core.evaluation.evaluate import evaluate
     from vins_core.io.calibration import read_calibration
     from vins_core.io.recording import open_recording
     from vins_core.io.sync import packets
     from vins_core.sensors import Trajectory
 
     cv2.setNumThreads(1)
-    source = open_recording(recording)
-    settings = read_calibration(calib, source)
+    with open_recording(recording) as probe:
+        settings = read_calibration(calib, probe)
+    source = open_recording(recording, settings.calibration)
     params = P.replace(P.replace(P.Params(), settings.overrides), changes)
-    state = pipeline.start(params, settings.calibration)
+    state = pipeline.start(settings.calibration)
     t_ns, p, q, first_image, restarts, ms = [], [], [], None, 0, []
     for packet in packets(source, settings.calibration, params, start_s, duration_s):
         first_image = packet.images[0].t_ns if first_image is None else first_image
@@ -55,7 +57,7 @@ def run(recording: Path, calib: list[Path], changes: dict, start_s: float, durat
         return {"poses": len(t_ns), "restarts": restarts}
     estimate = Trajectory(np.array(t_ns), np.array(p), np.array(q))
     result = evaluate(estimate, source.truth(), max_dt_s=0.006, first_image_ns=first_image)
-    return {**result, "restarts": restarts, "ms": float(np.median(ms))}
+    return {**asdict(result), "restarts": restarts, "ms": float(np.median(ms))}
 
 
 def main() -> None:
@@ -76,7 +78,8 @@ def main() -> None:
             for _, changes, start in variants
         ]
         print(
-            f"{'variant':14} {'poses':>5} {'first s':>7} {'ATE m':>8} {'max m':>8} {'rot deg':>7} {'scale':>7} {'restarts':>8} {'ms':>5}"
+            f"{'variant':14} {'poses':>5} {'first s':>7} {'ATE m':>8} {'max m':>8} {'rot deg':>7} "
+            f"{'scale':>7} {'restarts':>8} {'ms':>5}"
         )
         ates = []
         for (name, _, _), job in zip(variants, jobs, strict=True):
