@@ -55,15 +55,16 @@ class Preintegration:
 def preintegrate(imu: ImuSamples, b_a: np.ndarray, b_g: np.ndarray, noise: ImuNoise) -> Preintegration:
     """Integrate `imu` with constant biases.  Fewer than two samples, or equal stamps, give no motion."""
     dt = np.diff(imu.t_ns) * 1e-9
-    q = _rotations(0.5 * (imu.gyro_rad_s[:-1] + imu.gyro_rad_s[1:]) - b_g, dt)
-    R = so3.to_matrix(q)
+    w = 0.5 * (imu.gyro_rad_s[:-1] + imu.gyro_rad_s[1:]) - b_g
     a = imu.accel_m_s2 - b_a
+    q = _rotations(w, dt)
+    R = so3.to_matrix(q)
     Ra = (R @ a[:, :, None])[:, :, 0] if len(imu) else np.zeros((0, 3))
     dv = 0.5 * (Ra[:-1] + Ra[1:]) * dt[:, None]
     v = np.concatenate([np.zeros((1, 3)), np.cumsum(dv, 0)])
     delta_p = np.sum((v[:-1] + 0.5 * dv) * dt[:, None], 0)
 
-    F, Q = _error_propagation(imu, R, a, b_g, dt, noise)
+    F, Q = _error_propagation(R, a, w, dt, noise)
     J, P = np.eye(15), np.zeros((15, 15))
     for F_k, Q_k in zip(F, Q):
         J = F_k @ J
@@ -110,14 +111,13 @@ def _rotations(w: np.ndarray, dt: np.ndarray) -> np.ndarray:
 
 
 def _error_propagation(
-    imu: ImuSamples, R: np.ndarray, a: np.ndarray, b_g: np.ndarray, dt: np.ndarray, noise: ImuNoise
+    R: np.ndarray, a: np.ndarray, w: np.ndarray, dt: np.ndarray, noise: ImuNoise
 ) -> tuple[np.ndarray, np.ndarray]:
-    """F_k and V_k Q V_k' of every interval, (n - 1, 15, 15) each."""
+    """F_k and V_k Q V_k' of every interval, (n - 1, 15, 15) each.  R and a are per sample, w and dt per interval."""
     n = len(dt)
     p, th, v, ba, bg = (slice(k, k + 3) for k in range(0, 15, 3))
     eye = np.eye(3)
     h = dt[:, None, None]
-    w = 0.5 * (imu.gyro_rad_s[:-1] + imu.gyro_rad_s[1:]) - b_g
     R0, R1 = R[:n], R[1 : n + 1]
     turn = eye - so3.skew(w) * h  # theta_k+1 = turn theta_k - b_g dt
     RA = R @ so3.skew(a)
