@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from ..errors import CalibrationError
+from ..geometry.camera import CameraModel
 from ..params import Frontend
 from ..sensors import CameraCalibration, ImageRef, ImageSource
 
@@ -60,16 +61,33 @@ def check_size(image: np.ndarray, camera: CameraCalibration, ref: ImageRef) -> N
 
 
 def usable_area(camera: CameraCalibration) -> np.ndarray | None:
-    """The fisheye mask, (rows, columns) uint8 with 255 where tracks may live; None when all of the image is usable."""
+    """(rows, columns) uint8 with 255 where tracks may live: where the lens shows something and the mask is white.
+
+    None when that is everywhere.
+    """
+    lens = _lens_area(camera.model)
     if not camera.mask:
-        return None
+        return lens
     mask = _read_mask(camera.mask)
     if mask.shape != (camera.model.height, camera.model.width):
         raise CalibrationError(
             f"mask {camera.mask} is {mask.shape[1]}x{mask.shape[0]}, but {camera.name} gives "
             f"{camera.model.width}x{camera.model.height} images; the mask must have the size of the images"
         )
-    return mask
+    return mask if lens is None else mask & lens
+
+
+@lru_cache(maxsize=4)
+def _lens_area(model: CameraModel) -> np.ndarray | None:
+    """255 where pixels have a ray; None when all have, which those on the border decide for every radial lens."""
+    u, v = np.meshgrid(np.arange(model.width), np.arange(model.height))
+    edge = (u == 0) | (v == 0) | (u == model.width - 1) | (v == model.height - 1)
+    if np.isfinite(model.lift(np.stack([u[edge], v[edge]], -1))).all():
+        return None
+    seen = np.isfinite(model.lift(np.stack([u.ravel(), v.ravel()], -1))).all(1)
+    area = np.where(seen, np.uint8(255), np.uint8(0)).reshape(u.shape)
+    area.flags.writeable = False
+    return area
 
 
 @lru_cache(maxsize=4)

@@ -31,8 +31,7 @@ def track(
 
     Tracks in `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than
     `max_gap_s`, or time that does not advance, drops every track and fails the deciding gate "image interval"; ids are
-    never given twice.
-    Raises CalibrationError when an image or the mask does not have the camera's size.
+    never given twice.  Raises CalibrationError when image or mask do not have the camera's size.
     """
     usable = usable_area(camera)
     tracks = TrackLedger(state)
@@ -43,7 +42,9 @@ def track(
         gates.append(_reject(params, camera, tracks))
     tracks.drop(~keep_spaced(tracks.uv_px, params.min_dist, usable), LossReason.MASK)
     n_old = len(tracks)
-    _refill(params, camera, equalized(images, packet.images[-1], params), usable, tracks)
+    frame = equalized(images, packet.images[-1], params)
+    corners_px = detect_corners(frame, params.max_cnt - n_old, tracks.uv_px, params, usable)
+    tracks.add(corners_px, camera.model.lift(corners_px))
     gates.append(Gate("tracks", len(tracks), ">=", params.min_tracks, "frontend.min_tracks", decides=False))
     report = TrackReport(
         tracks.ids, tracks.uv_px, tracks.age, tracks.velocity, *tracks.lost(), len(tracks) - n_old, tuple(gates)
@@ -114,15 +115,6 @@ def _reject(params: Frontend, camera: CameraCalibration, tracks: TrackLedger) ->
         outlier[both[~inlier]] = True
         tracks.drop(outlier, LossReason.RANSAC)
     return _share("F-RANSAC inliers", n_inliers, n_tested, params.min_inlier_share, "min_inlier_share")
-
-
-def _refill(
-    params: Frontend, camera: CameraCalibration, image: np.ndarray, usable: np.ndarray | None, tracks: TrackLedger
-) -> None:
-    corners_px = detect_corners(image, params.max_cnt - len(tracks), tracks.uv_px, params, usable)
-    rays = camera.model.lift(corners_px)
-    seen = np.isfinite(rays).all(1)
-    tracks.add(corners_px[seen], rays[seen])
 
 
 def _share(name: str, n: int, of: int, limit: float, knob: str) -> Gate:

@@ -24,6 +24,7 @@ from plane_world import (
 
 from vins_core.errors import CalibrationError
 from vins_core.frontend.step import track
+from vins_core.geometry.kannala_brandt import KannalaBrandt
 from vins_core.params import DECLARATIONS, Params
 from vins_core.report import LOSS_REASONS, LossReason
 
@@ -279,6 +280,21 @@ def test_tracks_live_only_where_the_mask_is_white(tmp_path):
         assert (mask[tuple(np.rint(state.uv_px).astype(int).T[::-1])] == 255).all()
         lost |= reasons(report)
     assert LossReason.MASK in lost
+
+
+def test_tracks_live_only_where_the_lens_shows_something():
+    """A fisheye whose image is a disc of 70 pixels radius: beyond, pixels have no ray."""
+    lens = KannalaBrandt(WIDTH, HEIGHT, 100.0, 100.0, WIDTH / 2, HEIGHT / 2, -0.3, 0.0, 0.0, 0.0)
+    camera = dataclasses.replace(CAMERA, model=lens)
+    images, _ = film(7, velocity=(0.05, 0.0, 0.0))
+    params = dataclasses.replace(PARAMS, min_dist=8, f_ransac=False)
+    left = 0
+    for state, seen, report in run(images, packets(7), params, camera):
+        assert len(state.ids) > 40
+        assert np.linalg.norm(state.uv_px - [WIDTH / 2, HEIGHT / 2], axis=1).max() < 70.3
+        assert np.isfinite(seen.rays).all() and np.isfinite(seen.velocity).all()
+        left += (report.lost_reason == LOSS_REASONS.index(LossReason.BORDER)).sum()
+    assert left > 3
 
 
 def test_an_image_or_mask_of_another_camera_is_refused(tmp_path):
