@@ -17,7 +17,7 @@ from .images import EmbeddedImages, ImageBytes, Images, NoImages
 from .landmark_map import LandmarkMap
 from .worker import Job
 
-MAP_SLICE = 20
+MAP_SLICE = 5
 """Reports read per poll to fill the map of landmarks that left the window."""
 
 

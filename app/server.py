@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import io
 import logging
 import threading
 import time
@@ -22,6 +24,7 @@ from .session import Session
 
 log = logging.getLogger("vinspect")
 POLL_S = 0.25
+MAP_PAUSE_S = 0.01
 
 
 class Server:
@@ -32,7 +35,8 @@ class Server:
         self.opened = opened
         self._layouts = shipped_layouts()
         self.sessions: dict[int, Session] = {}
-        self._viser = viser.ViserServer(host=host, port=port, label="vinspect", verbose=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser's own banner
+            self._viser = viser.ViserServer(host=host, port=port, label="vinspect", verbose=False)
         gui, scene = self._viser.gui, self._viser.scene
         gui.configure_theme(dark_mode=True, brand_color=(86, 180, 233), show_logo=False, show_share_button=False)
         scene.set_up_direction("+z")
@@ -46,14 +50,16 @@ class Server:
     def url(self) -> str:
         """Where it really listens: a busy port has silently become the next one."""
         host = self._viser.get_host()
-        return f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{self._viser.get_port()}"
+        name = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self._viser.get_port()}"
 
     def stop(self) -> None:
         self._polling.cancel()
         for session in self.sessions.values():
             self._viser.get_event_loop().call_soon_threadsafe(session.close)
         self.opened.close()
-        self._viser.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._viser.stop()
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         try:
@@ -67,13 +73,17 @@ class Server:
             session.close()
 
     async def _poll(self) -> None:
+        behind = True  # the map of passed landmarks
         while True:
-            changed = self.opened.poll()
-            mapping = self.opened.extend_map()
-            if changed or mapping:
-                for session in self.sessions.values():
-                    session.refresh()
-            await asyncio.sleep(0.02 if mapping else POLL_S)
+            try:
+                changed, was_behind = self.opened.poll(), behind
+                behind = self.opened.extend_map()
+                if changed or (was_behind and not behind):
+                    for session in self.sessions.values():
+                        session.refresh()
+            except Exception:
+                log.exception("the run could not be read further")
+            await asyncio.sleep(MAP_PAUSE_S if behind else POLL_S)
 
 
 def sample() -> tuple[Path, tuple[Path, ...]]:

@@ -63,7 +63,7 @@ class Session:
 
     def go(self, frame: int) -> None:
         self.live = False
-        self.want = int(np.clip(frame, 0, max(self._length - 1, 0)))
+        self.want = max(0, min(frame, self._length - 1))
         self._wake.set()
 
     def step(self, by: int, keyframe: bool = False) -> None:

@@ -88,8 +88,9 @@ def _work(
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal reaches the server, which cancels us
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported; see app.__main__
+    server = os.getppid()
     try:
-        estimate(recording, calib, out, flag.is_set)
+        estimate(recording, calib, out, lambda: flag.is_set() or os.getppid() != server)
     except VinspectError as problem:
         sender.send(str(problem))
 

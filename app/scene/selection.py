@@ -30,7 +30,9 @@ class SelectionLayer:
             cast_shadow=False,
             receive_shadow=False,
         )
-        self._label = scene.add_label("/selection/label", "", visible=False, font_screen_scale=0.9)
+        self._label = scene.add_label(
+            "/selection/label", "", visible=False, font_screen_scale=0.9, anchor="bottom-left"
+        )
 
     def update(self, frame: SceneFrame) -> None:
         self._rays.update(selection_rays(frame))
@@ -49,8 +51,8 @@ class SelectionLayer:
         self._ellipsoid.scale = tuple(np.clip(axes, 0.004 * frame.unit_m, MAX_ELLIPSOID_UNITS * frame.unit_m))
         self._ellipsoid.wxyz = _turn_z_to(along)
         self._ellipsoid.position = xyz
-        self._label.position = xyz + np.array([0, 0, 0.03 * frame.unit_m])
-        self._label.text = f"landmark {frame.selection.id} · {landmarks.error_px[row]:.2f} px · 3σ"
+        self._label.position = xyz
+        self._label.text = f"landmark {frame.selection.id} · {landmarks.error_px[row]:.2f} px"
 
     def show(self, toggle: str, on: bool) -> None:
         self._on = on
