@@ -238,6 +238,18 @@ def test_steps_are_functions_of_values():
         assert same(track(PARAMS, CAMERA, fresh, once[k - 1][0], stream[k]), once[k])
 
 
+def test_the_number_of_threads_changes_nothing():
+    images, _ = film(7, velocity=(0.04, 0.0, -0.04))
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        once = run(Film(images.images), packets(7))
+        cv2.setNumThreads(4)
+        assert all(map(same, once, run(Film(images.images), packets(7))))
+    finally:
+        cv2.setNumThreads(before)
+
+
 def test_a_step_leaves_its_input_alone():
     images, _ = film(3)
     (state, _, _), *_ = run(images, [packet(0, ref(0))])
