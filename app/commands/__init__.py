@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from .compare import compare
 from .convert import convert
 from .eval import evaluate
 from .export import export
+from .fork import fork
 from .info import info
 from .open import open_page
 from .run import run
@@ -20,6 +22,8 @@ COMMANDS: Mapping[str, Callable[..., Any]] = MappingProxyType(
         "run": run,
         "info": info,
         "eval": evaluate,
+        "fork": fork,
+        "compare": compare,
         "export": export,
         "convert": convert,
         "simulate": simulate,

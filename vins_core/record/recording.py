@@ -264,6 +264,10 @@ class RunReader:
                     return _decode(self._images.read(block), (camera.height, camera.width), where)
         raise RunError(f"{self.path} holds no image {ref.index} of camera {ref.camera} at {ref.t_ns} ns")
 
+    def same_bytes(self, other: RunReader, k: int) -> bool:
+        """Whether frame k is known to be the same in both, as those that a fork copied are."""
+        return self._blocks[k] == other._blocks[k]
+
     def copy_logs(self, n: int, frames: LogWriter, index: LogWriter, images: LogWriter | None) -> None:
         """The first n frames into empty logs."""
         frames.adopt(self._frames, self._blocks[n - 1].end if n else 0)
