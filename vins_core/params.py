@@ -144,6 +144,9 @@ class Init:
     max_scale_sigma: Annotated[
         float, Range(0.001, 10), Doc("relative standard deviation of the scale after refinement")
     ] = 0.1
+    max_imu_misfit: Annotated[
+        float, Range(1, 100), Doc("reprojection error after refinement over that of vision alone")
+    ] = 2.0
     max_imu_error: Annotated[
         float, Range(0.01, 100), Doc("rms IMU residual after refinement, in its standard deviations", "sigma")
     ] = 1.5
@@ -187,11 +190,20 @@ class Projection:
 
 @dataclass(frozen=True)
 class Solver:
-    """Levenberg-Marquardt on the Schur complement (SOLVER.md measured these)."""
+    """Trust-region methods on the Schur complement (REFERENCE O1)."""
 
-    initial_radius: Annotated[float, Range(1e-2, 1e16), Doc("initial trust-region radius (parity with Ceres: 1e4)")] = (
-        1e12
-    )
+    method: Annotated[Literal["lm", "dogleg"], Doc("Levenberg-Marquardt, or Powell's dogleg (parity)")] = "lm"
+    damping: Annotated[
+        Literal["ours", "ceres"],
+        Doc(
+            "ours: starts from initial_radius and dogleg_min_mu, position and yaw of the oldest frame are held; "
+            "ceres: starts from radius 1e4 and mu 1e-8, nothing is held (parity)"
+        ),
+    ] = "ours"
+    initial_radius: Annotated[float, Range(1e-2, 1e16), Doc("initial trust-region radius, with our damping")] = 1e12
+    dogleg_min_mu: Annotated[
+        float, Range(1e-16, 1), Doc("smallest damping of dogleg's Gauss-Newton step, with our damping")
+    ] = 1e-12
     max_radius: Annotated[float, Range(1e2, 1e32), Doc("largest trust-region radius")] = 1e16
     function_tolerance: Annotated[float, Range(0, 1e-2), Doc("stop when the cost falls by a smaller share")] = 1e-6
     min_gain_ratio: Annotated[float, Range(0, 0.5), Doc("steps with a smaller gain ratio are rejected")] = 1e-3

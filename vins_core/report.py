@@ -158,6 +158,7 @@ class IterationReport:
     step_norm: float
     gain_ratio: float
     damping: float  # trust-region radius
+    leg: str = ""  # of the dogleg path on which the step ended: "gauss-newton", "dogleg" or "gradient"
 
 
 @dataclass(frozen=True)

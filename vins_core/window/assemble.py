@@ -17,8 +17,8 @@ from ..geometry import so3
 from ..params import Params
 from ..report import SolveReport
 from ..solver.layout import Variable
-from ..solver.levenberg_marquardt import Solution
 from ..solver.problem import PriorFactor, Projections, States, WindowProblem
+from ..solver.trust_region import Solution
 from .state import OUTLIER, Landmarks, WindowFrame, WindowState
 
 MIN_RAY_Z = 0.05

@@ -23,7 +23,7 @@ from ..report import (
     all_pass,
 )
 from ..sensors import Calibration, ImuNoise
-from ..solver.levenberg_marquardt import solve
+from ..solver.solve import solve
 from . import health, landmarks
 from .assemble import assemble, inv_depth_sigma, solve_report, unpack
 from .marginalize import marginalize_oldest, marginalize_second_newest
@@ -75,7 +75,7 @@ def estimate(
         window = landmarks.triangulate(params.window, window)
     with stopwatch(ms, "solve"):
         assembly = assemble(params, window, calibration.gravity_m_s2)
-        solution = solve(params.solver, params.window.max_iterations, assembly.problem)
+        solution = solve(params, assembly.problem)
         solved = unpack(window, assembly, solution.states)
     with stopwatch(ms, "explain"):
         solved_report = solve_report(assembly, solution)

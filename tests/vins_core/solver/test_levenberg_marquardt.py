@@ -7,6 +7,7 @@ import synthetic_window as sw
 from vins_core.geometry import so3
 from vins_core.params import Params
 from vins_core.solver import levenberg_marquardt as lm
+from vins_core.solver import trust_region
 from vins_core.solver.linearize import Linearizer
 from vins_core.window.assemble import assemble, unpack
 
@@ -91,7 +92,7 @@ def test_the_minimum_does_not_depend_on_how_strongly_the_gauge_is_held(monkeypat
     exact = replace(SETTINGS, function_tolerance=0.0)
     costs = []
     for information in (1e4, 1e8):
-        monkeypatch.setattr(lm, "GAUGE_INFORMATION", information)
+        monkeypatch.setattr(trust_region, "GAUGE_INFORMATION", information)
         costs.append(lm.solve(exact, 30, built.problem).after.total)
     assert costs[0] == pytest.approx(costs[1], rel=1e-7)
 
