@@ -12,7 +12,7 @@ from .frontend.state import TrackerState
 from .frontend.step import track
 from .initialization.step import initialize
 from .params import Params
-from .report import FrameReport, LossReason, PoseEstimate, Status, Timings, TrackReport
+from .report import FrameReport, KeyframeReport, LossReason, PoseEstimate, Status, Timings, TrackReport
 from .sensors import Calibration, ImageSource, Packet
 from .window.keyframe import decide
 from .window.propagate import continue_from, predict
@@ -77,6 +77,41 @@ def advance(
 
     `tracked` is what the front end made of the packet; a what-if may give what it made of it earlier.
     """
+    arrived = receive(params, calibration, state, packet, tracked, ms)
+    state, report = arrived.state, arrived.report
+    if not arrived.ready:
+        return state, report, ms
+    result = estimate(params, arrived.calibration, state.window, arrived.keyframe, arrived.previous, ms)
+    report = result.explain(report)
+    if result.window is None:
+        state = _restart(calibration, state, arrived.previous)
+        return state, replace(report, status=Status.FAILED, pose=None), ms
+    outliers, behind = (tuple(result.rejected[r].tolist()) for r in (LossReason.OUTLIER, LossReason.DEPTH))
+    state = replace(state, window=result.window, rejected_ids=outliers, behind_ids=behind)
+    return state, replace(report, status=Status.TRACKING), ms
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A frame that has entered the window."""
+
+    state: RunState
+    report: FrameReport
+    calibration: Calibration  # with the noise that `params.imu` makes of it
+    keyframe: KeyframeReport
+    previous: PoseEstimate | None  # the estimate of the frame before; None right after an initialisation
+    ready: bool  # the window is full and initialised: its turn (window/step.py) comes next
+
+
+def receive(
+    params: Params,
+    calibration: Calibration,
+    state: RunState,
+    packet: Packet,
+    tracked: tuple[TrackerState, Observations, TrackReport],
+    ms: Timings,
+) -> Arrival:
+    """The part of `advance` before the window's turn: integrate, decide about the keyframe, initialise."""
     calibration = _scale_noise(params, calibration)
     tracker, observations, tracks = tracked
     tracking = state.status is Status.TRACKING
@@ -97,22 +132,15 @@ def advance(
         tracks=tracks,
         keyframe=keyframe,
     )
-
     if len(state.window.frames) <= params.window.size:
-        return replace(state, status=Status.FILLING), report, ms
+        return Arrival(replace(state, status=Status.FILLING), report, calibration, keyframe, previous, False)
     if not tracking:
         with stopwatch(ms, "initialize"):
             state, report = _initialize(params, calibration, state, report)
         if state.status is not Status.TRACKING:
-            return _forget(calibration, state, keyframe.is_keyframe), report, ms
-
-    result = estimate(params, calibration, state.window, keyframe, previous, ms)
-    report = result.explain(report)
-    if result.window is None:
-        return _restart(calibration, state, previous), replace(report, status=Status.FAILED, pose=None), ms
-    outliers, behind = (tuple(result.rejected[r].tolist()) for r in (LossReason.OUTLIER, LossReason.DEPTH))
-    state = replace(state, window=result.window, rejected_ids=outliers, behind_ids=behind)
-    return state, replace(report, status=Status.TRACKING), ms
+            state = _forget(calibration, state, keyframe.is_keyframe)
+            return Arrival(state, report, calibration, keyframe, previous, False)
+    return Arrival(state, report, calibration, keyframe, previous, True)
 
 
 def _scale_noise(params: Params, calibration: Calibration) -> Calibration:

@@ -24,8 +24,9 @@ from ..report import (
 )
 from ..sensors import Calibration, ImuNoise
 from ..solver.solve import solve
+from ..solver.trust_region import Solution
 from . import health, landmarks
-from .assemble import assemble, inv_depth_sigma, solve_report, unpack
+from .assemble import Assembly, assemble, inv_depth_sigma, solve_report, unpack
 from .marginalize import marginalize_oldest, marginalize_second_newest
 from .slide import drop_oldest, drop_second_newest
 from .state import WindowFrame, WindowState
@@ -56,6 +57,35 @@ class Estimate:
         )
 
 
+@dataclass(frozen=True)
+class Solved:
+    """A window on its way through a turn, before anything leaves it."""
+
+    window: WindowState  # as it went into the solve
+    assembly: Assembly
+    solution: Solution
+    solved: WindowState
+    report: SolveReport
+    judged: WindowState  # without the landmarks that were rejected: what is marginalised
+    rejected: dict[LossReason, np.ndarray]
+
+
+def solve_window(params: Params, calibration: Calibration, window: WindowState, ms: Timings) -> Solved:
+    """The first half of a turn: re-propagate, triangulate, solve, reject."""
+    with stopwatch(ms, "repropagate"):
+        window = _repropagate(params.imu, window, calibration.noise)
+    with stopwatch(ms, "triangulate"):
+        window = landmarks.triangulate(params.window, window)
+    with stopwatch(ms, "solve"):
+        assembly = assemble(params, window, calibration.gravity_m_s2)
+        solution = solve(params, assembly.problem)
+        solved = unpack(window, assembly, solution.states)
+    with stopwatch(ms, "explain"):
+        report = solve_report(assembly, solution)
+        judged, rejected = landmarks.reject(params.window, solved, report)
+    return Solved(window, assembly, solution, solved, report, judged, rejected)
+
+
 def estimate(
     params: Params,
     calibration: Calibration,
@@ -69,31 +99,27 @@ def estimate(
     `keyframe` decides what leaves: the oldest frame when the second newest is a keyframe, else the second newest.
     `previous` is the estimate of the frame before, None right after an initialisation.
     """
-    with stopwatch(ms, "repropagate"):
-        window = _repropagate(params.imu, window, calibration.noise)
-    with stopwatch(ms, "triangulate"):
-        window = landmarks.triangulate(params.window, window)
-    with stopwatch(ms, "solve"):
-        assembly = assemble(params, window, calibration.gravity_m_s2)
-        solution = solve(params, assembly.problem)
-        solved = unpack(window, assembly, solution.states)
+    turn = solve_window(params, calibration, window, ms)
     with stopwatch(ms, "explain"):
-        solved_report = solve_report(assembly, solution)
-        judged, rejected = landmarks.reject(params.window, solved, solved_report)
         landmark_report = landmarks.report(
-            solved, judged, assembly, solved_report, inv_depth_sigma(solution), keyframe.is_keyframe
+            turn.solved,
+            turn.judged,
+            turn.assembly,
+            turn.report,
+            inv_depth_sigma(turn.solution),
+            keyframe.is_keyframe,
         )
-        window_report = _window_report(solved, solved_report)
-        pose = pose_of(solved.frames[-1])
+        window_report = _window_report(turn.solved, turn.report)
+        pose = pose_of(turn.solved.frames[-1])
         verdict = health.check(params.health, keyframe.tracked, previous, pose)
-    done = Estimate(None, pose, rejected, solved_report, window_report, landmark_report, verdict, None)
+    done = Estimate(None, pose, turn.rejected, turn.report, window_report, landmark_report, verdict, None)
     if not all_pass(verdict.gates):
         return done
     with stopwatch(ms, "marginalize"):
         leave = marginalize_oldest if keyframe.is_keyframe else marginalize_second_newest
-        prior, marginalization = leave(params, judged, calibration.gravity_m_s2)
+        prior, marginalization = leave(params, turn.judged, calibration.gravity_m_s2)
     with stopwatch(ms, "slide"):
-        judged = replace(judged, prior=prior)
+        judged = replace(turn.judged, prior=prior)
         slid = drop_oldest(judged) if keyframe.is_keyframe else drop_second_newest(judged, calibration.noise)
     return replace(done, window=slid, marginalization=marginalization)
 
