@@ -29,6 +29,11 @@ class Gate:
     unit: str = ""
     decides: bool = True
 
+    def __post_init__(self) -> None:
+        """Counts become floats here, as they would when written and read, so that equal gates stay equal."""
+        object.__setattr__(self, "value", None if self.value is None else float(self.value))
+        object.__setattr__(self, "limit", float(self.limit))
+
     @property
     def passed(self) -> bool:
         if self.value is None or not np.isfinite(self.value):
