@@ -25,6 +25,11 @@ def go_to(page: Page, frame: int) -> None:
     wait_for_frame(page, frame)
 
 
+def use_layout(page: Page, number: int, first_tab: str) -> None:
+    page.keyboard.press(f"Alt+{number}")
+    expect(page.get_by_role("tab", name=first_tab, exact=True)).to_have_attribute("aria-selected", "true")
+
+
 def window_of(page: Page) -> str:
     return page.locator("[data-vip=inspect] table").first.inner_text()
 
@@ -178,11 +183,11 @@ def test_a_hidden_panel_is_drawn_for_the_current_frame_when_its_tab_is_opened(
 
 def test_layers_are_switched_by_checkboxes_and_remember_their_layout(served_run: Server, open_page: OpenPage) -> None:
     page = open_page(served_run)
-    page.keyboard.press("Alt+2")
+    use_layout(page, 2, first_tab="Gates")
     page.get_by_role("tab", name="Layers").click()
     expect(page.get_by_label("IMU edges by residual")).not_to_be_checked()
     expect(page.get_by_label("ground truth")).to_be_checked()
-    page.keyboard.press("Alt+1")
+    use_layout(page, 1, first_tab="Inspect")
     page.get_by_role("tab", name="Layers").click()
     expect(page.get_by_label("IMU edges by residual")).to_be_checked()
 
