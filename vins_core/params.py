@@ -145,7 +145,7 @@ class Init:
         float, Range(0.001, 10), Doc("relative standard deviation of the scale after refinement")
     ] = 0.1
     max_imu_misfit: Annotated[
-        float, Range(1, 100), Doc("reprojection error after refinement over that of vision alone")
+        float, Range(1, 100), Doc("reprojection error after refinement over that of vision alone (100: off)")
     ] = 2.0
     max_imu_error: Annotated[
         float, Range(0.01, 100), Doc("rms IMU residual after refinement, in its standard deviations", "sigma")

@@ -104,8 +104,11 @@ def fly(
     believed_T_b_c: np.ndarray | None = None,
     world: Callable[[np.ndarray], np.ndarray] = lambda points: points,
     accel_unit: float = 1.0,
+    td_s: float = 0.0,
 ) -> Flight:
-    """`skip`: images (counted from 0) that the window did not keep; they are in the history all the same."""
+    """`skip`: images (counted from 0) that the window did not keep; they are in the history all the same.
+    `td_s`: how much later than the IMU's clock says the images were taken, unknown to the estimator.  `accel_unit`:
+    what the accelerometer's numbers must be multiplied by."""
     rng = np.random.default_rng(seed + 1000)
     b_a = np.zeros(3) if b_a is None else b_a
     n_frames = n_window + len(skip)
@@ -127,7 +130,7 @@ def fly(
         )
         imu = None
         if k:
-            samples = _imu(motion, times[k - 1], t, b_g, b_a, rng if imu_noise else None)
+            samples = _imu(motion, times[k - 1] - td_s, t - td_s, b_g, b_a, rng if imu_noise else None)
             samples = replace(samples, accel_m_s2=samples.accel_m_s2 / accel_unit)
             imu = preintegrate(samples, np.zeros(3), np.zeros(3), NOISE)
         zero = np.zeros(3)

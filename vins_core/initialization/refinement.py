@@ -97,13 +97,24 @@ def refine(
     )
 
 
-def verdict(params: Params, refined: Refinement, before: Motion) -> InitStage:
-    """Do vision and IMU agree, and was the scale observable?"""
+TRACKING_NOISE_PX = 0.25
+"""Vision never fits much better than this, in px460; a smaller error says nothing about the IMU."""
+
+
+def verdict(params: Params, refined: Refinement, before: Motion, visual_rms_rad: float) -> InitStage:
+    """Do vision and IMU agree, and was the scale observable?
+
+    visual_rms_rad: what the reprojection was before the IMU had a say.  A right calibration raises it by a few
+    percent; wrong extrinsics or a wrong time offset, which the IMU residuals themselves hardly show because they weigh
+    so much more, raise it severalfold.
+    """
     init, health, m = params.init, params.health, refined.motion
     b_a, b_g = float(np.linalg.norm(m.b_a)), float(np.linalg.norm(m.b_g))
     error_px = FOCAL_460 * refined.rms_rad
+    misfit = error_px / max(FOCAL_460 * visual_rms_rad, TRACKING_NOISE_PX)
     gates = (
         Gate("scale_sigma", refined.scale_sigma, "<=", init.max_scale_sigma, "init.max_scale_sigma"),
+        Gate("imu_misfit", misfit, "<=", init.max_imu_misfit, "init.max_imu_misfit"),
         Gate("imu_error", refined.imu_rms, "<=", init.max_imu_error, "init.max_imu_error", "sigma"),
         Gate("reprojection", error_px, "<=", init.max_reprojection_px, "init.max_reprojection_px", "px460"),
         Gate("acc_bias", b_a, "<=", health.max_acc_bias, "health.max_acc_bias", "m/s^2"),
@@ -111,6 +122,7 @@ def verdict(params: Params, refined: Refinement, before: Motion) -> InitStage:
     )
     why = {
         "scale_sigma": f"the scale is only known to {100 * refined.scale_sigma:.0f} %: change speed or direction more",
+        "imu_misfit": f"the IMU makes the tracks fit {misfit:.1f} times worse: check extrinsics and time offset",
         "imu_error": "camera and IMU saw different motions: check extrinsics, time offset, IMU units and noise",
         "reprojection": "no motion the IMU allows fits the tracks: check extrinsics and time offset",
         "acc_bias": f"the accelerometer bias would have to be {b_a:.1f} m/s^2: check IMU units and gravity",

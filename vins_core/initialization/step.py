@@ -87,7 +87,7 @@ def initialize(
         refined = refine(motion, T_b_c, rays, between, g_norm, sigma_rad, init.acc_bias_sigma)
         attempt.scale *= refined.motion.extent_m / motion.extent_m
         attempt.b_g = refined.motion.b_g
-        if not attempt.passes(verdict(params, refined, motion)):
+        if not attempt.passes(verdict(params, refined, motion, built.rms_rad)):
             return attempt.failed()
         motion = refined.motion.anchored()
         prior = bias_prior(window.frames[0].frame, motion, init.acc_bias_sigma)

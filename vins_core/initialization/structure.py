@@ -30,6 +30,7 @@ class Reconstruction:
     Ts_l_c: np.ndarray  # (K, 4, 4) cameras of the window
     rows: np.ndarray  # (P,) rows of the track table that have a point
     points: np.ndarray  # (P, 3)
+    rms_rad: float  # reprojection error
 
 
 def reconstruct(
@@ -72,7 +73,7 @@ def reconstruct(
         )
     stage = InitStage("structure", gates, outcome, {"points": float(len(rows)), "iterations": float(iterations)})
     s = adjusted.structure
-    built = Reconstruction(se3.from_rotation_translation(s.R, s.p), rows, s.points)
+    built = Reconstruction(se3.from_rotation_translation(s.R, s.p), rows, s.points, adjusted.rms_rad)
     return (built if stage.passed else None), stage
 
 

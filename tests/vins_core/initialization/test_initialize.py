@@ -207,6 +207,24 @@ def test_a_camera_turned_by_90_degrees_does_not_initialize(axis):
     assert "check" in failed_stage(report).outcome
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_ten_degrees_of_wrong_rotation_do_not_initialize(seed):
+    wrong = flight.T_B_C.copy()
+    wrong[:3, :3] = wrong[:3, :3] @ so3.to_matrix(so3.exp(np.radians([8.0, 6.0, 0.0])))
+    f = flight.fly(flight.lively(seed), seed, pixel_sigma=0.5, imu_noise=True, believed_T_b_c=wrong)
+    window, report = attempt(f)
+    assert window is None and "extrinsics" in failed_stage(report).outcome
+    assert "imu_misfit" in failed_gates(failed_stage(report))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_time_offset_of_30_ms_does_not_initialize(seed):
+    f = flight.fly(flight.lively(seed), seed, pixel_sigma=0.5, imu_noise=True, td_s=0.03)
+    window, report = attempt(f)
+    assert window is None and "time offset" in failed_stage(report).outcome
+    assert "imu_misfit" in failed_gates(failed_stage(report))
+
+
 def test_imu_in_units_of_g_does_not_initialize():
     window, report = attempt(flight.fly(flight.lively(0), 0, accel_unit=9.81))
     assert window is None and failed_gates(failed_stage(report)) & {"gravity_error"}
