@@ -15,6 +15,7 @@ from .params import Params
 from .report import FrameReport, KeyframeReport, LossReason, PoseEstimate, Status, Timings, TrackReport
 from .sensors import Calibration, ImageSource, Packet
 from .window.keyframe import decide
+from .window.marginalize import marginalize_oldest
 from .window.propagate import continue_from, predict
 from .window.slide import drop_oldest, drop_second_newest, restrict
 from .window.state import Landmarks, Observations, WindowFrame, WindowState
@@ -112,9 +113,10 @@ def receive(
     ms: Timings,
 ) -> Arrival:
     """The part of `advance` before the window's turn: integrate, decide about the keyframe, initialise."""
-    calibration = _scale_noise(params, calibration)
+    calibration = _effective_noise(params, calibration)
     tracker, observations, tracks = tracked
     tracking = state.status is Status.TRACKING
+    state = _shrink(params, calibration, state)
     previous = pose_of(state.window.frames[-1]) if tracking else None
     with stopwatch(ms, "preintegrate"):
         state = _arrive(calibration, state, packet, observations)
@@ -132,7 +134,7 @@ def receive(
         tracks=tracks,
         keyframe=keyframe,
     )
-    if len(state.window.frames) <= params.window.size:
+    if len(state.window.frames) <= params.window.size and not tracking:
         return Arrival(replace(state, status=Status.FILLING), report, calibration, keyframe, previous, False)
     if not tracking:
         with stopwatch(ms, "initialize"):
@@ -143,7 +145,7 @@ def receive(
     return Arrival(state, report, calibration, keyframe, previous, True)
 
 
-def _scale_noise(params: Params, calibration: Calibration) -> Calibration:
+def _effective_noise(params: Params, calibration: Calibration) -> Calibration:
     noise, imu = calibration.noise, params.imu
     scaled = replace(
         noise,
@@ -151,6 +153,9 @@ def _scale_noise(params: Params, calibration: Calibration) -> Calibration:
         gyr_n=noise.gyr_n * imu.gyr_n_scale,
         acc_w=noise.acc_w * imu.acc_w_scale,
         gyr_w=noise.gyr_w * imu.gyr_w_scale,
+        gap_s=imu.gap_s,
+        gap_acc=imu.gap_acc,
+        gap_gyr=imu.gap_gyr,
     )
     return replace(calibration, noise=scaled)
 
@@ -202,6 +207,17 @@ def _initialize(
     if state.resume is not None:
         window = continue_from(window, state.resume)
     return replace(state, window=window, status=Status.TRACKING, history=(), resume=None), report
+
+
+def _shrink(params: Params, calibration: Calibration, state: RunState) -> RunState:
+    """A window that is larger than `window.size`, which only a changed size makes it, loses its oldest frames."""
+    while len(state.window.frames) > params.window.size:
+        if state.status is Status.TRACKING:
+            prior, _ = marginalize_oldest(params, state.window, calibration.gravity_m_s2)
+            state = replace(state, window=drop_oldest(replace(state.window, prior=prior)))
+        else:
+            state = _forget(calibration, state, is_keyframe=True)
+    return state
 
 
 def _forget(calibration: Calibration, state: RunState, is_keyframe: bool) -> RunState:

@@ -25,6 +25,7 @@ from ..report import (
     LossReason,
     MarginalizationReport,
     SolveReport,
+    Status,
     TrackReport,
 )
 
@@ -77,10 +78,13 @@ def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
     yield from _tracks(report.tracks)
     if report.keyframe:
         yield _keyframe(report.keyframe)
+    yield Decision("initialization", "window is full", report.status is not Status.FILLING, knob="window.size")
     attempt = report.initialization
     yield Decision("initialization", "attempted", attempt is not None, knob="init.retry_s")
     if attempt:
         yield from _initialization(attempt)
+    if report.window:
+        yield Decision("solve", "frames in the window", tuple(report.window.frames.tolist()), knob="window.size")
     if report.solve:
         yield from _solve(report.solve, params)
     if report.landmarks and report.solve:

@@ -30,7 +30,6 @@ from .replay import Progress, Result, estimate
 
 FIXED = {
     "frontend.freq": "decides which images are frames",
-    "window.size": "decides how many frames a state holds",
 }
 """Parameters that a run keeps from its first frame to its last, and why."""
 

@@ -29,6 +29,8 @@ from ..solver.problem import WindowProblem
 from .assemble import assemble
 from .state import BlockKey, Prior, WindowState
 
+NOTHING_LEFT = MarginalizationReport("none", 0, 0, (), 0, np.zeros(0))
+
 
 def marginalize_oldest(
     params: Params, window: WindowState, gravity_m_s2: float
@@ -63,7 +65,7 @@ def marginalize_second_newest(
     slot = len(window.frames) - 2
     key = BlockKey("pose", window.frames[slot].frame)
     if window.prior is None or key not in window.prior.blocks:
-        return window.prior, MarginalizationReport("none", 0, 0, (), 0, np.zeros(0))
+        return window.prior, NOTHING_LEFT
     problem = assemble(params, window, gravity_m_s2).problem
     part = replace(
         problem,

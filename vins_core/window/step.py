@@ -27,7 +27,7 @@ from ..solver.solve import solve
 from ..solver.trust_region import Solution
 from . import health, landmarks
 from .assemble import Assembly, assemble, inv_depth_sigma, solve_report, unpack
-from .marginalize import marginalize_oldest, marginalize_second_newest
+from .marginalize import NOTHING_LEFT, marginalize_oldest, marginalize_second_newest
 from .slide import drop_oldest, drop_second_newest
 from .state import WindowFrame, WindowState
 
@@ -94,20 +94,17 @@ def estimate(
     previous: PoseEstimate | None,
     ms: Timings,
 ) -> Estimate:
-    """Solve a full window and slide it.
+    """Solve a window and slide it.
 
     `keyframe` decides what leaves: the oldest frame when the second newest is a keyframe, else the second newest.
+    A window that is not full, because its size was raised in the middle of a run, keeps its oldest.
     `previous` is the estimate of the frame before, None right after an initialisation.
     """
     turn = solve_window(params, calibration, window, ms)
+    leaves_oldest = keyframe.is_keyframe and len(window.frames) > params.window.size
     with stopwatch(ms, "explain"):
         landmark_report = landmarks.report(
-            turn.solved,
-            turn.judged,
-            turn.assembly,
-            turn.report,
-            inv_depth_sigma(turn.solution),
-            keyframe.is_keyframe,
+            turn.solved, turn.judged, turn.assembly, turn.report, inv_depth_sigma(turn.solution), leaves_oldest
         )
         window_report = _window_report(turn.solved, turn.report)
         pose = pose_of(turn.solved.frames[-1])
@@ -115,12 +112,14 @@ def estimate(
     done = Estimate(None, pose, turn.rejected, turn.report, window_report, landmark_report, verdict, None)
     if not all_pass(verdict.gates):
         return done
+    if keyframe.is_keyframe and not leaves_oldest:
+        return replace(done, window=turn.judged, marginalization=NOTHING_LEFT)
     with stopwatch(ms, "marginalize"):
-        leave = marginalize_oldest if keyframe.is_keyframe else marginalize_second_newest
+        leave = marginalize_oldest if leaves_oldest else marginalize_second_newest
         prior, marginalization = leave(params, turn.judged, calibration.gravity_m_s2)
     with stopwatch(ms, "slide"):
         judged = replace(turn.judged, prior=prior)
-        slid = drop_oldest(judged) if keyframe.is_keyframe else drop_second_newest(judged, calibration.noise)
+        slid = drop_oldest(judged) if leaves_oldest else drop_second_newest(judged, calibration.noise)
     return replace(done, window=slid, marginalization=marginalization)
 
 
