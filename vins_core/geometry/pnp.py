@@ -9,12 +9,18 @@ import numpy as np
 
 from . import se3, so3
 
+MIN_POINTS = 6
+
 
 @dataclass(frozen=True)
 class Pnp:
     T_w_c: np.ndarray  # (4, 4)
     inlier: np.ndarray  # (n,) bool, in front of the camera and within three thresholds
     rms_rad: float  # of the inliers
+
+    @property
+    def n_inliers(self) -> int:
+        return int(np.count_nonzero(self.inlier))
 
 
 def tangent_basis(rays: np.ndarray) -> np.ndarray:
@@ -25,24 +31,21 @@ def tangent_basis(rays: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(rays, first)], -1)
 
 
-def solve_pnp(
-    points_w: np.ndarray, rays_c: np.ndarray, T_w_c_guess: np.ndarray, threshold_rad: float, min_inliers: int = 6
-) -> Pnp | None:
-    """Camera pose from points (n, 3) and unit rays (n, 3), starting at a guess; None when too few points agree.
+def solve_pnp(points_w: np.ndarray, rays_c: np.ndarray, T_w_c_guess: np.ndarray, threshold_rad: float) -> Pnp | None:
+    """Camera pose from points (n, 3) and unit rays (n, 3), starting at a guess; None for fewer than 6 points.
 
     Minimises sum log(1 + |r|^2 / threshold^2) with r = B(ray)^T normalised(R^T (p - t)), the miss on the tangent
     plane of the measured ray.  When the guess leads nowhere, P3P-RANSAC on the rays that reach the image plane gives
-    another start; the final pose is always judged by its own reprojection error (REFERENCE 23.2).
+    another start.  Inliers are those of the final pose (REFERENCE 23.2); whether they are enough is for the caller.
     """
-    if len(points_w) < min_inliers:
+    if len(points_w) < MIN_POINTS:
         return None
     solved = _refine(points_w, rays_c, T_w_c_guess, threshold_rad)
-    if np.count_nonzero(solved.inlier) < max(min_inliers, 0.7 * len(points_w)):
+    if solved.n_inliers < 0.7 * len(points_w):
         start = _ransac(points_w, rays_c, threshold_rad)
         if start is not None:
-            other = _refine(points_w, rays_c, start, threshold_rad)
-            solved = max(solved, other, key=lambda s: np.count_nonzero(s.inlier))
-    return solved if np.count_nonzero(solved.inlier) >= min_inliers else None
+            solved = max(solved, _refine(points_w, rays_c, start, threshold_rad), key=lambda s: s.n_inliers)
+    return solved
 
 
 def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_rad: float, iterations: int = 20) -> Pnp:
@@ -87,7 +90,7 @@ def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_r
 
 def _ransac(points_w: np.ndarray, rays_c: np.ndarray, threshold_rad: float) -> np.ndarray | None:
     forward = rays_c[:, 2] > 0.1
-    if np.count_nonzero(forward) < 6:
+    if np.count_nonzero(forward) < MIN_POINTS:
         return None
     plane = rays_c[forward, :2] / rays_c[forward, 2:]
     found, rotation, translation, _ = cv2.solvePnPRansac(

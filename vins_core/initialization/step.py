@@ -87,6 +87,7 @@ def initialize(
         refined = refine(motion, T_b_c, rays, between, g_norm, sigma_rad, init.acc_bias_sigma)
         attempt.scale *= refined.motion.extent_m / motion.extent_m
         attempt.b_g = refined.motion.b_g
+        attempt.gravity = R_l_b[0] @ refined.motion.structure.R[0].T @ np.array([0.0, 0.0, -g_norm])
         if not attempt.passes(verdict(params, refined, motion, built.rms_rad)):
             return attempt.failed()
         motion = refined.motion.anchored()

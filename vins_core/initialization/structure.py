@@ -40,13 +40,14 @@ def reconstruct(
 
     Points whose mean error stays above `max_error_rad` are dropped and the rest adjusted again.
     """
-    Ts, points, fewest, lost_slot = _chain(tracks, reference, sigma_rad, params.min_pnp_points)
-    gates: tuple[Gate, ...] = (Gate("known_points", fewest, ">=", params.min_pnp_points, "init.min_pnp_points"),)
-    if lost_slot is not None:
-        why = f"the frame in slot {lost_slot} could not be placed: it sees {fewest} known points"
-        if fewest >= params.min_pnp_points:
-            why += ", but no pose agrees with enough of them"
-            gates += (Gate("placed", 0, ">=", 1),)
+    chain = _chain(tracks, reference, sigma_rad, params.min_pnp_points)
+    Ts, points = chain.Ts_l_c, chain.points
+    gates: tuple[Gate, ...] = _points_gates(params, chain.fewest_known, chain.fewest_agreeing)
+    if chain.lost_slot is not None:
+        why = (
+            f"the frame in slot {chain.lost_slot} could not be placed: "
+            f"it sees {chain.fewest_known} known points, {chain.fewest_agreeing} agree on a pose"
+        )
         return None, InitStage("structure", gates, why)
 
     rows = np.flatnonzero(~np.isnan(points[:, 0]))
@@ -89,71 +90,88 @@ def place_between(
     slots = {f.frame: k for k, f in enumerate(window)}
     ids = tracks.ids[built.rows]
     Ts = np.empty((len(history), 4, 4))
-    counts, lost = [], None
+    known, agreeing = [], []
     for k, frame in enumerate(history):
         if frame.frame in slots:
             Ts[k] = built.Ts_l_c[slots[frame.frame]]
             continue
         _, i, j = np.intersect1d(frame.observations.ids, ids, assume_unique=True, return_indices=True)
-        counts.append(len(i))
         pnp = solve_pnp(built.points[j], frame.observations.rays[i], Ts[k - 1], 2.0 * sigma_rad)
-        if pnp is None:
-            lost = frame.frame
-            break
+        known.append(len(i))
+        agreeing.append(pnp.n_inliers if pnp else 0)
+        if pnp is None or agreeing[-1] < params.min_pnp_points:
+            why = (
+                f"frame {frame.frame}, which the window did not keep, could not be placed: "
+                f"it sees {known[-1]} known points, {agreeing[-1]} agree on a pose"
+            )
+            gates = _points_gates(params, known[-1], agreeing[-1])
+            return None, InitStage("frames between", gates, why, {"frames": float(len(known))})
         Ts[k] = pnp.T_w_c
-    values = {"frames": float(len(counts))}
-    if counts:
-        values["fewest_points"] = float(min(counts))
-    if lost is None:
-        return Ts, InitStage("frames between", (), "", values)
-    gate = Gate("placed", 0, ">=", 1)
-    why = f"frame {lost}, which the window did not keep, could not be placed by the {counts[-1]} points it sees"
-    return None, InitStage("frames between", (gate,), why, values)
+    gates = _points_gates(params, min(known), min(agreeing)) if known else ()
+    return Ts, InitStage("frames between", gates, "", {"frames": float(len(known))})
 
 
-def _chain(
-    tracks: TrackTable, reference: Reference, sigma_rad: float, min_points: int
-) -> tuple[np.ndarray, np.ndarray, int, int | None]:
-    """First poses (K, 4, 4) and points (M, 3; NaN unknown), fewest points a frame was placed by, and the lost slot.
+def _points_gates(params: Init, known: int, agreeing: int) -> tuple[Gate, ...]:
+    return tuple(
+        Gate(name, n, ">=", params.min_pnp_points, "init.min_pnp_points")
+        for name, n in (("known_points", known), ("agreeing_points", agreeing))
+    )
+
+
+@dataclass
+class _Chain:
+    """First poses and points; the frame that placing stopped at, if any."""
+
+    Ts_l_c: np.ndarray  # (K, 4, 4)
+    points: np.ndarray  # (M, 3), NaN unknown
+    fewest_known: int  # points that a frame saw
+    fewest_agreeing: int  # points that agreed on its pose
+    lost_slot: int | None = None
+
+
+def _chain(tracks: TrackTable, reference: Reference, sigma_rad: float, min_points: int) -> _Chain:
+    """Place the frames one after the other.
 
     Triangulate l with the newest; forward from l: PnP, triangulate with the newest; triangulate l with the frames in
     between; backward from l: PnP, triangulate with l; the remaining tracks from their first and last observation.
     """
-    seen, l, newest = tracks.seen, reference.slot, tracks.n_frames - 1
-    Ts = np.tile(np.eye(4), (newest + 1, 1, 1))
+    seen, l, newest, n = tracks.seen, reference.slot, tracks.n_frames - 1, len(tracks.ids)
+    chain = _Chain(np.tile(np.eye(4), (newest + 1, 1, 1)), np.full((n, 3), np.nan), n, n)
+    Ts, points = chain.Ts_l_c, chain.points
     Ts[newest] = reference.pose.T_a_b
-    points = np.full((len(tracks.ids), 3), np.nan)
-    fewest = len(tracks.ids)
 
     def extend(i: int, j: int, among: np.ndarray) -> None:
         new = among & seen[:, i] & seen[:, j] & np.isnan(points[:, 0])
         points[new] = _triangulate(Ts[i], Ts[j], tracks.rays[new, i], tracks.rays[new, j])
 
     def place(k: int, neighbour: int) -> bool:
-        nonlocal fewest
         known = seen[:, k] & ~np.isnan(points[:, 0])
-        fewest = min(fewest, int(np.count_nonzero(known)))
-        pnp = solve_pnp(points[known], tracks.rays[known, k], Ts[neighbour], 2.0 * sigma_rad, min_points)
-        if pnp is not None:
-            Ts[k] = pnp.T_w_c
-        return pnp is not None
+        pnp = solve_pnp(points[known], tracks.rays[known, k], Ts[neighbour], 2.0 * sigma_rad)
+        agreeing = pnp.n_inliers if pnp else 0
+        chain.fewest_known = min(chain.fewest_known, int(np.count_nonzero(known)))
+        chain.fewest_agreeing = min(chain.fewest_agreeing, agreeing)
+        if pnp is None or agreeing < min_points:
+            chain.lost_slot = k
+            return False
+        Ts[k] = pnp.T_w_c
+        return True
 
-    every = np.ones(len(tracks.ids), bool)
+    every = np.ones(n, bool)
     for k in range(l, newest):
         if k > l and not place(k, k - 1):
-            return Ts, points, fewest, k
+            return chain
         extend(k, newest, every)
     for k in range(l + 1, newest):
         extend(l, k, every)
     for k in reversed(range(l)):
         if not place(k, k + 1):
-            return Ts, points, fewest, k
+            return chain
         extend(k, l, every)
     first, last = np.argmax(seen, 1), newest - np.argmax(seen[:, ::-1], 1)
     for i, j in sorted(set(zip(first.tolist(), last.tolist()))):
         if i < j:
             extend(i, j, (first == i) & (last == j))
-    return Ts, points, fewest, None
+    return chain
 
 
 def _triangulate(T_w_i: np.ndarray, T_w_j: np.ndarray, rays_i: np.ndarray, rays_j: np.ndarray) -> np.ndarray:

@@ -95,6 +95,15 @@ def test_the_world_is_level_and_starts_at_the_oldest_body():
     assert np.allclose(np.mean(drops, 0), [0, 0, -flight.G], atol=0.05)
 
 
+def test_the_report_tells_gravity_in_the_reference_camera():
+    f = flight.fly(flight.lively(2), 2)
+    window, report = attempt(f)
+    t = window.frames[report.reference_slot].t_ns * 1e-9
+    R_w_c = so3.to_matrix(f.motion.q(t)) @ flight.R_B_C
+    assert np.allclose(report.gravity, R_w_c.T @ np.array([0.0, 0.0, -flight.G]), atol=0.02)
+    assert report.scale > 0
+
+
 def test_window_carries_its_biases_landmarks_and_prior():
     f = flight.fly(flight.lively(3), 3, pixel_sigma=0.5, imu_noise=True)
     window, report = attempt(f)
