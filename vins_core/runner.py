@@ -7,8 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import cv2
-
 from . import params as parameters
 from .io.calibration import read_calibration
 from .io.params_yaml import read_params
@@ -16,6 +14,7 @@ from .io.recording import Recording, open_recording
 from .io.sync import packets
 from .params import Params
 from .pipeline import start
+from .process import prepare
 from .record.header import RunHeader
 from .record.recording import RunWriter
 from .record.replay import Progress, Result, estimate
@@ -48,7 +47,7 @@ def run_recording(
     after each frame.  However it ends, what was written can be read.
     Raises VinspectError, before `out` is touched when the input is at fault.
     """
-    cv2.setNumThreads(1)  # several fight with each other and with the page for a few cores
+    prepare()
     assignments = dict(parameters.parse_assignment(text) for text in settings)
     parameters.replace(Params(), assignments)  # a wrong one is told before anything is read
     from_file = read_params(params_file) if params_file is not None else {}

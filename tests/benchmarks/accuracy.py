@@ -26,17 +26,16 @@ VARIANTS: tuple[tuple[str, dict[str, float], float], ...] = (
 
 def run(recording: Path, calib: list[Path], changes: dict, start_s: float, duration_s: float | None) -> dict:
     """One headless run without a record; the metrics of `vinspect eval`, poses and milliseconds per frame."""
-    import cv2
-
     from vins_core import params as P
     from vins_core import pipeline
     from vins_core.evaluation.evaluate import evaluate
     from vins_core.io.calibration import read_calibration
     from vins_core.io.recording import open_recording
     from vins_core.io.sync import packets
+    from vins_core.process import prepare
     from vins_core.sensors import Trajectory
 
-    cv2.setNumThreads(1)
+    prepare()
     with open_recording(recording) as probe:
         settings = read_calibration(calib, probe)
     source = open_recording(recording, settings.calibration)

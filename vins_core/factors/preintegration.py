@@ -150,10 +150,17 @@ def _noise_per_interval(noise: ImuNoise, dt: np.ndarray) -> tuple[np.ndarray, ..
     Discrete sigmas are used as they are, bias walks multiplied by dt (REFERENCE I2).  A density n means a variance
     n^2 dt of the integral over dt; the mean of two independent end samples must have variance n^2 / dt, hence each
     sample 2 n^2 / dt.  Bias walks grow with sqrt(dt).
+    Over a gap in the samples the mean of acceleration and rate is uncertain by `gap_acc` and `gap_gyr` on top.
     """
     h = dt[:, None, None]
     if noise.kind == "discrete":
         one = np.ones_like(h)
-        return noise.acc_n * one, noise.gyr_n * one, noise.acc_w * h, noise.gyr_w * h
-    per_sample = np.sqrt(2.0 / np.maximum(h, 1e-12))
-    return noise.acc_n * per_sample, noise.gyr_n * per_sample, noise.acc_w * np.sqrt(h), noise.gyr_w * np.sqrt(h)
+        sigmas = noise.acc_n * one, noise.gyr_n * one, noise.acc_w * h, noise.gyr_w * h
+    else:
+        per_sample = np.sqrt(2.0 / np.maximum(h, 1e-12))
+        sigmas = noise.acc_n * per_sample, noise.gyr_n * per_sample, noise.acc_w * np.sqrt(h), noise.gyr_w * np.sqrt(h)
+    if not np.any(dt > noise.gap_s):
+        return sigmas
+    acc, gyr, *walks = sigmas
+    in_gap = np.sqrt(2.0) * (h > noise.gap_s)
+    return np.hypot(acc, noise.gap_acc * in_gap), np.hypot(gyr, noise.gap_gyr * in_gap), *walks

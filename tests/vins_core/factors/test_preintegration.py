@@ -157,3 +157,16 @@ def test_same_input_gives_the_same_bits():
     a, b = (preintegrate(samples(200), ZERO, ZERO, sw.NOISE) for _ in range(2))
     assert a.covariance.tobytes() == b.covariance.tobytes()
     assert a.jacobian.tobytes() == b.jacobian.tobytes()
+
+
+def test_a_gap_between_samples_leaves_the_interval_uncertain():
+    whole = samples(200)
+    gappy = whole[np.r_[0:5, len(whole) - 5 : len(whole)]]
+    aware = replace(QUIET, gap_s=0.05, gap_acc=2.0, gap_gyr=0.5)
+    np.testing.assert_array_equal(
+        preintegrate(whole, ZERO, ZERO, aware).covariance, preintegrate(whole, ZERO, ZERO, QUIET).covariance
+    )
+    sigma = np.sqrt(preintegrate(gappy, ZERO, ZERO, aware).covariance.diagonal())
+    gap_s = np.diff(gappy.t_ns).max() * 1e-9
+    np.testing.assert_allclose(sigma[6:9], 2.0 * gap_s, rtol=0.2)
+    np.testing.assert_allclose(sigma[3:6], 0.5 * gap_s, rtol=0.2)
