@@ -12,10 +12,10 @@ import numpy as np
 
 from .frontend.state import TrackerState
 from .geometry import so3
-from .params import Params, changed
-from .pipeline import advance, start, step
+from .params import Params
+from .pipeline import advance, step
 from .record.compare import Difference, differing_decision
-from .record.fork import forked_params, recorded_images, require_backend
+from .record.fork import recorded_images, require_backend, state_before
 from .record.recording import RunReader
 from .report import CostSplit, FrameReport, Timings, TrackReport
 from .sensors import ImageSource
@@ -46,13 +46,11 @@ def resolve(
 
     `images` are needed only to run the front end again; by default those that the run refers to.
     With the parameters of the run, `after` equals `before` bit for bit.
-    Raises RunError when the frame cannot be restored, ParameterError for what cannot change within a run.
+    Raises RunError when the frame cannot be restored.
     """
     header = run.header
     require_backend(header)
-    forked_params(header.params, k, changed(params, header.params))
-    before, packet = run.report(k), run.packet(k)
-    state = start(header.calibration) if k == 0 else run.state(k - 1)
+    state, packet, before = state_before(run, k), run.packet(k), run.report(k)
     if not rerun_frontend:
         tracked = recorded_tracks(run, k, params)
         _, after, ms = advance(params, header.calibration, state, packet, tracked, {})

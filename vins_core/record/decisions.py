@@ -73,7 +73,7 @@ class Decision:
 
 def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
     """What the frame of `report`, computed with `params`, decided."""
-    yield Decision("input", "time of the frame", report.t_ns)
+    yield Decision("input", "time of the frame", report.t_ns, knob="frontend.freq")
     yield Decision("input", "images", tuple(i.t_ns for i in report.images), knob="frontend.freq")
     yield from _tracks(report.tracks)
     if report.keyframe:
@@ -172,7 +172,7 @@ def _rejected(landmarks: LandmarkReport, solve: SolveReport, params: Params) -> 
 
 
 def _marginalization(report: MarginalizationReport, params: Params) -> Iterator[Decision]:
-    yield Decision("marginalization", "kind", report.kind)
+    yield Decision("marginalization", "kind", report.kind, knob="window.size")
     yield Decision("marginalization", "blocks dropped", report.m)
     first = len(report.eigenvalues) - report.rank
     judge = partial(_eigenvalue, report.eigenvalues, params.marginalization.eigen_threshold)

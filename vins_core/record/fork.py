@@ -14,24 +14,20 @@ import os
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
+from itertools import islice
 from typing import Any
-
-import cv2
 
 from .. import params as parameters
 from ..errors import ParameterError, RunError
 from ..io.recording import open_recording
 from ..params import Params
-from ..pipeline import start
+from ..pipeline import RunState, start
+from ..process import prepare
 from ..sensors import ImageSource, Packet
 from .header import Parent, RunHeader, cpu_model, package_versions
 from .recording import RunReader, RunWriter
+from .regroup import regroup
 from .replay import Progress, Result, estimate
-
-FIXED = {
-    "frontend.freq": "decides which images are frames",
-}
-"""Parameters that a run keeps from its first frame to its last, and why."""
 
 
 def fork(
@@ -49,34 +45,30 @@ def fork(
     Computes `frames` frames, by default up to the last one that `run` holds.  Without changes the fork equals the
     run bit for bit where versions and processor are the same; the notes of the result say where they are not.
     `images`: where pixels come from, by default the record or the recording it names.
-    Raises before `out` is touched: ParameterError for what cannot change within a run, RunError for a frame that is
-    not there and a back end that is not available, RecordingError when the images cannot be opened.
+    Raises before `out` is touched: ParameterError, RunError for a frame that is not there or a back end that is not
+    available, RecordingError when the images cannot be opened.
     """
-    cv2.setNumThreads(1)
-    params = forked_params(run.header.params, at, changes)
+    prepare()
+    params = parameters.replace(run.header.params, changes)
     require_backend(run.header)
-    end = _last(run, at, frames)
-    state = start(run.header.calibration) if at == 0 else run.state(at - 1)
-    run.packet(at)  # a record without packets is told before a folder is made
-    header = _header(run, at, params, end)
+    state = state_before(run, at)
+    packets = _packets(run, at, params)
+    if frames is not None:
+        packets = islice(packets, _positive(frames))
+    header = _header(run, at, params, _expect(run, at, params, frames))
     with contextlib.ExitStack() as opened:
         source = images if images is not None else opened.enter_context(recorded_images(run))
         with RunWriter(out, header, run.truth, source) as writer:
             writer.adopt(run, at)
             poses = sum(s.pose is not None for s in run.summaries[:at])
-            return estimate(writer, header, source, state, _packets(run, at, end), progress, cancelled, poses)
+            return estimate(writer, header, source, state, packets, progress, cancelled, poses)
 
 
-def forked_params(params: Params, at: int, changes: Mapping[str, Any]) -> Params:
-    """`params` with `changes` from frame `at` on; ParameterError when one of them cannot change there."""
-    forked = parameters.replace(params, changes)
-    for key, why in FIXED.items():
-        if at > 0 and parameters.get(forked, key) != parameters.get(params, key):
-            raise ParameterError(
-                f"{key} {why} and cannot change at frame {at} of a run; "
-                f"run the recording again with `vinspect run ... --set {key}={parameters.get(forked, key)}`"
-            )
-    return forked
+def state_before(run: RunReader, k: int) -> RunState:
+    """The state that frame k of a run was computed from; RunError when there is no such frame."""
+    if not 0 <= k < len(run):
+        raise RunError(f"{run.path} has no frame {k}; it holds frames 0 to {len(run) - 1}")
+    return start(run.header.calibration) if k == 0 else run.state(k - 1)
 
 
 def require_backend(header: RunHeader) -> None:
@@ -100,16 +92,26 @@ def recorded_images(run: RunReader) -> Iterator[ImageSource]:
         yield source
 
 
-def _last(run: RunReader, at: int, frames: int | None) -> int:
-    if not 0 <= at < len(run):
-        raise RunError(f"{run.path} has no frame {at} to fork at; it holds frames 0 to {len(run) - 1}")
-    if frames is not None and frames < 1:
+def _positive(frames: int) -> int:
+    if frames < 1:
         raise ParameterError(f"a fork of {frames} frames computes nothing; expected at least 1")
-    return len(run) if frames is None else min(at + frames, len(run))
+    return frames
 
 
-def _packets(run: RunReader, at: int, end: int) -> Iterator[Packet]:
-    return (run.packet(k) for k in range(at, end))
+def _packets(run: RunReader, at: int, params: Params) -> Iterator[Packet]:
+    run.packet(at)  # a record without packets is told before a folder is made
+    recorded = (run.packet(k) for k in range(at, len(run)))
+    if params.frontend.freq == run.header.params.frontend.freq:
+        return recorded
+    last_frame_ns = run.summary(at - 1).t_ns if at else None
+    return regroup(recorded, params.frontend, run.header.calibration.td_s, at, last_frame_ns)
+
+
+def _expect(run: RunReader, at: int, params: Params, frames: int | None) -> int:
+    """How many frames the fork will have: an estimate where the frame rate changes."""
+    rate = params.frontend.freq / run.header.params.frontend.freq
+    left = round((len(run) - at) * rate)
+    return at + (left if frames is None else min(frames, left))
 
 
 def _header(run: RunReader, at: int, params: Params, end: int) -> RunHeader:
