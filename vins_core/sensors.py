@@ -96,7 +96,7 @@ class ImuNoise:
     acc_w: float  # bias random walk; VINS multiplies it by dt per sample | m/s^3/sqrt(Hz)
     gyr_w: float
     # between samples further apart than gap_s the motion is unknown: the mean of either may be off by this much more
-    gap_s: float = float("inf")
+    gap_s: float = 1e6
     gap_acc: float = 0.0  # m/s^2
     gap_gyr: float = 0.0  # rad/s
 
