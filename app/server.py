@@ -55,11 +55,15 @@ class Server:
 
     def stop(self) -> None:
         self._polling.cancel()
-        for session in self.sessions.values():
-            self._viser.get_event_loop().call_soon_threadsafe(session.close)
+        asyncio.run_coroutine_threadsafe(self._end_sessions(), self._viser.get_event_loop()).result(timeout=10)
         self.opened.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._viser.stop()
+
+    async def _end_sessions(self) -> None:
+        for session in self.sessions.values():
+            session.close()
+        await asyncio.gather(*(session.drawing for session in self.sessions.values()))
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         try:

@@ -57,7 +57,7 @@ class Session:
         self._canvas = 0
         self.scene = SceneView(client)
         self._build()
-        self._task = asyncio.get_running_loop().create_task(self._loop())
+        self.drawing = asyncio.get_running_loop().create_task(self._loop())
 
     # -- what the user can do ----------------------------------------------------------------------------------------
 
