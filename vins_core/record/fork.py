@@ -49,12 +49,8 @@ def fork(
     available, RecordingError when the images cannot be opened.
     """
     prepare()
-    params = parameters.replace(run.header.params, changes)
-    require_backend(run.header)
-    state = state_before(run, at)
-    packets = _packets(run, at, params)
-    if frames is not None:
-        packets = islice(packets, _positive(frames))
+    params = check(run, at, changes, frames)
+    state, packets = state_before(run, at), islice(_packets(run, at, params), frames)
     header = _header(run, at, params, _expect(run, at, params, frames))
     with contextlib.ExitStack() as opened:
         source = images if images is not None else opened.enter_context(recorded_images(run))
@@ -64,10 +60,20 @@ def fork(
             return estimate(writer, header, source, state, packets, progress, cancelled, poses)
 
 
+def check(run: RunReader, at: int, changes: Mapping[str, Any], frames: int | None = None) -> Params:
+    """The parameters of a fork; raises what `fork` would raise at once."""
+    params = parameters.replace(run.header.params, changes)
+    require_backend(run.header)
+    if not 0 <= at < len(run):
+        raise RunError(f"{run.path} has no frame {at} to fork at; it holds frames 0 to {len(run) - 1}")
+    if frames is not None and frames < 1:
+        raise ParameterError(f"a fork of {frames} frames computes nothing; expected at least 1")
+    run.packet(at)  # a record without packets cannot be repeated
+    return params
+
+
 def state_before(run: RunReader, k: int) -> RunState:
-    """The state that frame k of a run was computed from; RunError when there is no such frame."""
-    if not 0 <= k < len(run):
-        raise RunError(f"{run.path} has no frame {k}; it holds frames 0 to {len(run) - 1}")
+    """The state that frame k of a run was computed from."""
     return start(run.header.calibration) if k == 0 else run.state(k - 1)
 
 
@@ -92,14 +98,7 @@ def recorded_images(run: RunReader) -> Iterator[ImageSource]:
         yield source
 
 
-def _positive(frames: int) -> int:
-    if frames < 1:
-        raise ParameterError(f"a fork of {frames} frames computes nothing; expected at least 1")
-    return frames
-
-
 def _packets(run: RunReader, at: int, params: Params) -> Iterator[Packet]:
-    run.packet(at)  # a record without packets is told before a folder is made
     recorded = (run.packet(k) for k in range(at, len(run)))
     if params.frontend.freq == run.header.params.frontend.freq:
         return recorded
