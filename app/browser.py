@@ -42,7 +42,37 @@ class Pick(msgspec.Struct, tag_field="k", tag="pick"):
 
 
 class Knob(msgspec.Struct, tag_field="k", tag="knob"):
+    key: str  # "section.name" of a parameter; the page goes there itself when the layout has the knobs
+
+
+class Set(msgspec.Struct, tag_field="k", tag="set"):
     key: str  # "section.name" of a parameter
+    v: bool | float | str | None  # None: as in the run
+
+
+class Reset(msgspec.Struct, tag_field="k", tag="reset"):
+    """Every knob back to the run's value."""
+
+
+class FrontEnd(msgspec.Struct, tag_field="k", tag="frontend"):
+    on: bool  # what-ifs run the front end again
+
+
+class Save(msgspec.Struct, tag_field="k", tag="save"):
+    """Give the changed parameters to the browser as a file."""
+
+
+class Load(msgspec.Struct, tag_field="k", tag="load"):
+    text: str  # of a parameter file; empty when it is too large
+    name: str
+
+
+class Span(msgspec.Struct, tag_field="k", tag="span"):
+    n: int  # frames a fork computes; 0: to the end
+
+
+class Fork(msgspec.Struct, tag_field="k", tag="fork"):
+    """Repeat the run from the frame shown with the knobs as they stand."""
 
 
 class Page(msgspec.Struct, tag_field="k", tag="page"):
@@ -52,7 +82,8 @@ class Page(msgspec.Struct, tag_field="k", tag="page"):
     canvas: int  # width of the 3D view
 
 
-Event = Seek | GoTo | Step | Play | Pick | Knob | Page
+Event = Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork | Page
+SCRIPTS = ("page.js", "knobs.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 
 
@@ -66,7 +97,7 @@ def decode(text: str) -> Event | None:
 
 def boot_fragment(bridge: str) -> str:
     """Html that installs page.js, style sheet and tooltips once it is mounted; `bridge` is the hidden input's id."""
-    script = resources.files("app").joinpath("page.js").read_text("utf-8")
+    script = "\n".join(resources.files("app").joinpath(name).read_text("utf-8") for name in SCRIPTS)
     for name, value in (("__BRIDGE__", bridge), ("__CSS__", CSS), ("__TIPS__", page_tips())):
         script = script.replace(name, json.dumps(value))
     return f'<img alt="" src="data:," style="display:none" onerror="{html.escape(script)}">'

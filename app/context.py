@@ -8,6 +8,7 @@ A panel is a module in `app/panels` with
     render(ctx: PanelContext) -> str             html of this frame, a pure function
     backdrop(ctx: PanelContext) -> str           optional: html that depends only on the run, shown above `render`'s
                                                  and sent again only when the run grows
+    backdrop_of(ctx: PanelContext) -> object     optional: what the backdrop depends on instead; sent when it changes
 
 Text that comes from a file (topic, path, name) is escaped before it enters html.
 
@@ -16,6 +17,7 @@ In the page there is one helper object, `vi` (see browser.py), for html attribut
     vi.send({k:'frame', i:12})                   go to a frame
     vi.send({k:'pick', t:'track', i:57})         select ("track" or "frame"); i:-1 clears
     vi.send({k:'step', d:1, kf:false})           one frame on, or one keyframe
+    vi.send({k:'knob', key:'window.loss'})       to the knob of a parameter, in the What-if panel
     onpointerdown/onpointermove='vi.scrub(event,this)'   seek by the pointer's share of the element's width
     onwheel='vi.wheel(event,this)' onpointermove='vi.pan(event)' ondblclick='vi.reset()'   zoom and pan of an image
 
@@ -26,8 +28,9 @@ survive new content; `--vi-head` is the shown frame's place in the run, 0..1, so
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from vins_core.report import FrameReport, FrameSummary, Timings
@@ -37,6 +40,12 @@ from .series import RunSeries, run_series
 
 if TYPE_CHECKING:
     from vins_core.record.recording import RunReader
+    from vins_core.record.reevaluate import GateHistory
+
+    from .experiment import ExperimentView
+
+GATE_SLICE = 50
+"""Frames whose gates are read at a time, so that whoever waits gets its turn."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +66,7 @@ class RunView:
         self.reader = reader
         self.report = lru_cache(maxsize=400)(reader.report)
         self._series = run_series([], None)
+        self._reading = threading.Lock()
 
     def __len__(self) -> int:
         return len(self.summaries)
@@ -88,6 +98,18 @@ class RunView:
             self._series = run_series(self.summaries, self.truth)
         return self._series
 
+    @cached_property
+    def gates(self) -> GateHistory:
+        """Every gate of the run so far as columns; filled by `read_gates`."""
+        from vins_core.record.reevaluate import GateHistory  # with it come the estimator and CasADi
+
+        return GateHistory()
+
+    def read_gates(self, at_most: int = GATE_SLICE) -> int:
+        """Take the gates of the next frames; returns how many frames are still missing.  Safe in any thread."""
+        with self._reading:
+            return self.gates.follow(self.reader, at_most)
+
 
 @dataclass(frozen=True)
 class PanelContext:
@@ -103,3 +125,5 @@ class PanelContext:
     playing: bool = False
     signals: tuple[str, ...] = ()  # names of the signals the layout wants plotted; empty: all
     progress: str = ""  # what the estimator is doing while it still runs, one sentence
+    experiment: ExperimentView | None = None  # the knobs, and what they would have done here
+    fork_frames: int = 0  # how many frames a fork computes; 0: to the end

@@ -43,7 +43,7 @@ def text(value: Child) -> Html:
     return Html("".join([text(part) for part in value]))
 
 
-_VOID = ("img", "br")
+_VOID = ("img", "br", "input")
 
 
 def tag(name: str, *children: Child, **attributes: str | float | None) -> Html:

@@ -33,16 +33,16 @@ class PanelView:
         self.module = module
         self.key: str = module.KEY
         self._backdrop = gui.add_html("") if hasattr(module, "backdrop") else None
-        self._backdrop_of: tuple[object, ...] = ()
+        self._backdrop_of: object = None
+        self._depends = getattr(module, "backdrop_of", _of_run)
         self._content = ""
         self._body = gui.add_html(str(tag("div", cls="vi", data_vip=self.key)))
 
     def render(self, ctx: PanelContext) -> None:
-        grown = (len(ctx.run), ctx.signals)
         try:
-            if self._backdrop is not None and self._backdrop_of != grown:
+            if self._backdrop is not None and self._backdrop_of != (of := self._depends(ctx)):
                 self._backdrop.content = str(self.module.backdrop(ctx))
-                self._backdrop_of = grown
+                self._backdrop_of = of
             content = str(self.module.render(ctx))
             if self._backdrop is not None:
                 content = playhead(ctx.frame, len(ctx.run)) + content
@@ -63,6 +63,10 @@ class PanelView:
     def _show(self, content: str) -> None:
         if content != self._content:
             self._content = self._body.content = content
+
+
+def _of_run(ctx: PanelContext) -> object:
+    return id(ctx.run), len(ctx.run), ctx.signals
 
 
 def message(key: str, sentence: str) -> str:

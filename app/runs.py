@@ -32,9 +32,14 @@ class OpenRun:
         self.view: RunView | None = None
         self.images = Images(NoImages("this run has no images"))
         self.map = LandmarkMap()
-        self._folder = folder
+        self.folder = folder
         self._told: tuple[object, ...] = ()
         self._reader: RunReader | None = None
+
+    @property
+    def id(self) -> str:
+        """What names the run wherever its folder is; empty until its header is written."""
+        return self._reader.header.id if self._reader is not None else ""
 
     @property
     def progress(self) -> float | None:
@@ -88,10 +93,10 @@ class OpenRun:
             self.job.wait()
 
     def _read(self) -> None:
-        if self._folder is None or (self.job is not None and not is_run(self._folder)):
+        if self.folder is None or (self.job is not None and not is_run(self.folder)):
             return
         if self._reader is None:
-            self._reader = RunReader(self._folder)
+            self._reader = RunReader(self.folder)
             self.images = Images(image_source(self._reader))
         else:
             self._reader.refresh()

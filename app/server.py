@@ -21,6 +21,7 @@ from .layout import shipped_layouts
 from .places import shipped
 from .runs import OpenRun, open_path
 from .session import Session
+from .store import RunStore
 
 log = logging.getLogger("vinspect")
 POLL_S = 0.25
@@ -28,11 +29,11 @@ MAP_PAUSE_S = 0.01
 
 
 class Server:
-    """Serves one opened run to any number of tabs."""
+    """Serves one opened run, and its forks, to any number of tabs."""
 
     def __init__(self, opened: OpenRun, host: str = "127.0.0.1", port: int = 8080) -> None:
         cv2.setNumThreads(1)  # more threads starve the event loop
-        self.opened = opened
+        self.store = RunStore(opened)
         self._layouts = shipped_layouts()
         self.sessions: dict[int, Session] = {}
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own banner
@@ -56,7 +57,7 @@ class Server:
     def stop(self) -> None:
         self._polling.cancel()
         asyncio.run_coroutine_threadsafe(self._end_sessions(), self._viser.get_event_loop()).result(timeout=10)
-        self.opened.close()
+        self.store.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._viser.stop()
 
@@ -67,7 +68,7 @@ class Server:
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         try:
-            self.sessions[client.client_id] = Session(client, self.opened, self._layouts)
+            self.sessions[client.client_id] = Session(client, self.store, self._layouts)
         except Exception:
             log.exception("a tab could not be set up")
 
@@ -76,12 +77,17 @@ class Server:
         if session is not None:
             session.close()
 
+    def _shown(self) -> set[OpenRun]:
+        """The runs that some tab looks at."""
+        return {self.store.first, *(session.opened for session in self.sessions.values())}
+
     async def _poll(self) -> None:
         behind = True  # the map of passed landmarks
         while True:
             try:
-                changed, was_behind = self.opened.poll(), behind
-                behind = self.opened.extend_map()
+                changed, was_behind = self.store.poll(), behind
+                incomplete = [run.extend_map() for run in self._shown()]
+                behind = any(incomplete)
                 if changed or (was_behind and not behind):
                     for session in self.sessions.values():
                         session.refresh()

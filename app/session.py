@@ -15,11 +15,30 @@ import numpy as np
 import viser
 
 from vins_core.errors import VinspectError
-from vins_core.params import DECLARATIONS, get
+from vins_core.io.params_yaml import params_yaml
+from vins_core.params import DECLARATIONS, Params, get
 from vins_core.sensors import ImageRef
 
-from .browser import Bridge, Event, GoTo, Knob, Page, Pick, Play, Seek, Step
+from .browser import (
+    Bridge,
+    Event,
+    Fork,
+    FrontEnd,
+    GoTo,
+    Knob,
+    Load,
+    Page,
+    Pick,
+    Play,
+    Reset,
+    Save,
+    Seek,
+    Set,
+    Span,
+    Step,
+)
 from .context import PanelContext, RunView, Selection
+from .experiment import Experiment, parse_parameters
 from .html import tag
 from .layout import Layout, Placement, canvas_width, place
 from .panel_view import PANELS, PanelView
@@ -27,6 +46,7 @@ from .runs import OpenRun
 from .scene.frame import SceneFrame, scene_unit
 from .scene.pick import pick
 from .scene.view import TOGGLES, SceneView
+from .store import RunStore
 
 log = logging.getLogger("vinspect")
 
@@ -37,8 +57,11 @@ PLAY_S = (0.03, 0.5)
 
 
 class Session:
-    def __init__(self, client: viser.ClientHandle, opened: OpenRun, layouts: list[Layout]) -> None:
-        self.opened = opened
+    def __init__(self, client: viser.ClientHandle, runs: RunStore | OpenRun, layouts: list[Layout]) -> None:
+        self.store = runs if isinstance(runs, RunStore) else RunStore(runs)
+        self.opened = opened = self.store.first
+        self.experiment = Experiment(self.refresh)
+        self.fork_frames = 0  # 0: to the end
         self.want, self.shown = 0, -1
         self.selection = Selection()
         self.playing = self.following = False
@@ -55,6 +78,8 @@ class Session:
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._page = int(client.camera.image_width), int(client.camera.image_height)
         self._canvas = 0
+        self.other: OpenRun | None = None
+        """The run compared with."""
         self.scene = SceneView(client)
         self._build()
         self.drawing = asyncio.get_running_loop().create_task(self._loop())
@@ -94,6 +119,36 @@ class Session:
         self.following = False
         self.refresh()
 
+    def fork(self) -> None:
+        """Repeat the run from the frame shown with the knobs as they stand."""
+        if self._run is None:
+            return
+        try:
+            self.other = self.store.fork(self.opened, self.want, self.experiment.changes, self.fork_frames or None)
+        except VinspectError as problem:
+            self._tell("No fork", str(problem))
+            return
+        self.refresh()
+
+    def set_knob(self, key: str, value: bool | float | str | None) -> None:
+        try:
+            self.experiment.set(key, value)
+        except VinspectError as problem:
+            self._tell(key, str(problem))
+        self.refresh()
+
+    def save_parameters(self) -> None:
+        """Give the changed parameters to the browser as a file for `--params`."""
+        content = params_yaml(self.experiment.params, Params())
+        self.client.send_file_download("vinspect-parameters.yaml", content.encode())
+
+    def load_parameters(self, text: str, name: str) -> None:
+        try:
+            self.experiment.load(parse_parameters(text, name))
+        except VinspectError as problem:
+            self._tell("Not loaded", str(problem))
+        self.refresh()
+
     def refresh(self) -> None:
         """Draw the shown frame again: something beside the frame number changed."""
         self._stale = True
@@ -107,6 +162,7 @@ class Session:
     def close(self) -> None:
         """End the render loop; the page is gone."""
         self._closed = True
+        self.experiment.close()
         self._wake.set()
 
     # -- the page ----------------------------------------------------------------------------------------------------
@@ -166,6 +222,7 @@ class Session:
         add("Go to the worst cost", "G", None, self.go_to_worst)
         add("Follow the camera, on or off", "F", None, self.follow)
         add("Show the whole run", "V", None, self.fit)
+        add("Fork the run from here", "enter", "cmd/ctrl", self.fork)
         add("Clear the selection", "escape", None, lambda: self.select(Selection()))
         for layout in self._layouts:
             modifier, _, key = layout.hotkey.rpartition("+")
@@ -261,6 +318,23 @@ class Session:
                 self.select(Selection(kind, i) if i >= 0 else Selection())
             case Knob(key):
                 self._explain(key)
+            case Set(key, v):
+                self.set_knob(key, v)
+            case Reset():
+                self.experiment.reset()
+                self.refresh()
+            case FrontEnd(on):
+                self.experiment.run_front_end(on)
+                self.refresh()
+            case Save():
+                self.save_parameters()
+            case Load(text, name):
+                self.load_parameters(text, name)
+            case Span(n):
+                self.fork_frames = max(n, 0)
+                self.refresh()
+            case Fork():
+                self.fork()
             case Page(panels, width, height, canvas):
                 if (width, height) != self._page:
                     self._page = width, height
@@ -279,8 +353,12 @@ class Session:
         header = self._run.header
         origin = {"config": ", from the configuration file", "set": ", set for this run"}
         value = f"{get(header.params, key)} {declared.unit}".rstrip() + origin.get(header.origins.get(key, ""), "")
-        body = f"{declared.doc}: {value} (default {declared.default}). To change it, run with --set {key}=VALUE"
-        self.client.add_notification(key, body, auto_close_seconds=8)
+        self._tell(
+            key, f"{declared.doc}: {value} (default {declared.default}). To change it, run with --set {key}=VALUE"
+        )
+
+    def _tell(self, title: str, body: str) -> None:
+        self.client.add_notification(title, body, auto_close_seconds=8)
 
     # -- drawing -----------------------------------------------------------------------------------------------------
 
@@ -340,6 +418,8 @@ class Session:
             playing=self.playing,
             progress=self.opened.error or self.opened.doing,
             signals=self.layout.signals,
+            experiment=self.experiment.look(run, k, asking="what_if" in self._visible),
+            fork_frames=self.fork_frames,
         )
 
     def _scene_frame(self, k: int) -> SceneFrame | None:

@@ -11,6 +11,7 @@ from .palette import (
     BAD,
     CANDIDATE,
     ESTIMATE,
+    FORK,
     GROUND,
     IMU,
     LINE,
@@ -187,7 +188,47 @@ _TIPS = f"""
 .vi-tip dt{{color:{MUTED}}} .vi-tip dd{{margin:0}}
 """
 
+_KNOBS = f"""
+.vi-button,.vi select,.vi input[type=text],.vi input[type=search]{{font:12px/1.3 {FONT};color:{TEXT};
+ background:{RAISED};border:1px solid #454C57;border-radius:4px;padding:3px 8px;height:25px}}
+.vi-button{{cursor:pointer;white-space:nowrap;display:inline-flex;align-items:center;gap:4px}}
+.vi-button:hover{{background:#3B424C;color:{STRONG}}} .vi-button:disabled{{opacity:.5;cursor:default}}
+.vi-button.vi-go{{background:#7A2E63;border-color:{FORK};color:{STRONG}}} .vi-button.vi-go:hover{{background:#94387A}}
+.vi-button input[type=file]{{display:none}}
+.vi select{{padding:2px 4px}}
+.vi input:focus-visible,.vi select:focus-visible,.vi-button:focus-visible{{outline:2px solid {ESTIMATE}}}
+.vi-find{{display:flex;gap:5px;margin:8px 0 5px}} .vi-find input[type=search]{{flex:1 1 auto;min-width:0;cursor:text}}
+.vi-knobs{{max-height:max(150px,32vh);overflow-y:auto;border:1px solid {LINE};border-radius:5px;background:{SUNKEN};
+ scrollbar-width:thin;scrollbar-color:#4A515C transparent}}
+.vi-stageknobs summary{{position:sticky;top:0;z-index:1;display:flex;justify-content:space-between;cursor:pointer;
+ padding:4px 10px;background:#22262D;border-bottom:1px solid #2B3038;list-style:none}}
+.vi-stageknobs summary::before{{content:"▸";margin-right:7px;color:{MUTED}}}
+.vi-stageknobs[open]>summary::before{{content:"▾"}}
+.vi-stageknobs summary b{{flex:1}}
+.vi-knobrow{{display:grid;grid-template-columns:minmax(0,1.45fr) minmax(60px,1fr) 54px 32px 16px;gap:0 6px;
+ align-items:center;padding:2px 6px 2px 10px;min-height:25px;border-left:2px solid transparent}}
+.vi-knobrow[hidden]{{display:none}}
+.vi-kname{{overflow:hidden;text-overflow:ellipsis;white-space:nowrap}}
+.vi-kunit{{overflow:hidden;white-space:nowrap}}
+.vi-knobrow>.vi-switch,.vi-knobrow>select{{grid-column:2/4;justify-self:start}}
+.vi input.vi-num{{width:54px;height:20px;padding:0 5px;text-align:right;font-variant-numeric:tabular-nums}}
+.vi input[type=range]{{width:100%;margin:0;height:16px;accent-color:{ESTIMATE};cursor:pointer}}
+.vi input[type=checkbox]{{accent-color:{ESTIMATE};margin:0 4px 0 0;vertical-align:-2px;cursor:pointer}}
+.vi-switch{{cursor:pointer;white-space:nowrap}}
+.vi-undo{{visibility:hidden;border:0;background:none;color:{MUTED};cursor:pointer;padding:0;font-size:14px}}
+.vi-changed{{border-left-color:{FORK};background:#2A1F29}} .vi-changed .vi-kname{{color:{STRONG};font-weight:600}}
+.vi-changed .vi-undo{{visibility:visible}} .vi-changed .vi-undo:hover{{color:{STRONG}}}
+.vi-changed input{{accent-color:{FORK}!important}}
+.vi-focus{{outline:1px solid {SELECTION};outline-offset:-1px}}
+.vi-chip.vi-fork{{background:#40203A;color:#F0B8DC}} .vi-chip.vi-fork .vi-link{{color:#F0B8DC}}
+.vi-forkrow{{display:flex;gap:6px;margin:8px 0 2px}}
+.vi-flips{{margin:3px 0 8px}} .vi-flip{{display:flex;justify-content:space-between;gap:10px;margin-bottom:2px}}
+.vi-flips .vi-lane{{height:14px}} .vi-small{{font-size:11px;line-height:1.5}}
+.vi-outcome.vi-forked{{border-left-color:{FORK};background:#2A1F29;color:{TEXT}}}
+.vi-p .vi-table,.vi-costs+.vi-table{{margin-top:5px}}
+"""
+
 FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
 """Colours of the three factor types, wherever a cost is split."""
 
-CSS = "".join((_BASE, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _TIPS))
+CSS = "".join((_BASE, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _TIPS))

@@ -521,6 +521,21 @@ def _of_parameter(d: Declaration) -> Tip:
     )
 
 
+_WHAT_IF = {
+    "whatif.gates": Tip(
+        "gates judged again",
+        "Every recorded value against the new limit, over the whole run, given the recorded trajectory: a verdict that "
+        "flips would have changed everything after it, which only a fork shows.",
+        source="SPEC 9.3a",
+    ),
+    "whatif.solve": Tip(
+        "this frame again",
+        "Repeated from the recorded state before it with the parameters as they stand; with its recorded tracks, or "
+        "with its images tracked again.",
+        source="SPEC 9.3b",
+    ),
+}
+
 _PARAMETERS = {f"param.{d.key}": _of_parameter(d) for d in DECLARATIONS.values()}
 _GATES_BY_PARAMETER = {
     f"gate.{d.key}": Tip(d.key.split(".")[1].replace("_", " "), tip.text, unit=d.unit)
@@ -528,7 +543,7 @@ _GATES_BY_PARAMETER = {
 }
 
 TIPS: Mapping[str, Tip] = MappingProxyType(
-    {**_PARAMETERS, **_GATES_BY_PARAMETER, **_GATES, **_FRONTEND, **_WINDOW, **_SOLVE, **_STATE, **_STAGES}
+    {**_PARAMETERS, **_GATES_BY_PARAMETER, **_GATES, **_FRONTEND, **_WINDOW, **_SOLVE, **_STATE, **_STAGES, **_WHAT_IF}
 )
 
 

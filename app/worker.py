@@ -12,12 +12,16 @@ import shutil
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+import uuid
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from typing import Any
 
 from vins_core.errors import VinspectError
+
+from .notes import read_notes
 
 KEEP_RUNS = 10
 """Runs computed for the page are kept in the user's cache; older ones are removed."""
@@ -27,12 +31,26 @@ Estimate = Callable[[Path, Sequence[Path], Path, Callable[[], bool]], None]
 
 
 def run_estimator(recording: Path, calib: Sequence[Path], out: Path, cancelled: Callable[[], bool]) -> None:
-    import cv2
-
     from vins_core.runner import run_recording
 
-    cv2.setNumThreads(1)
     run_recording(recording, calib, out=out, cancelled=cancelled)
+
+
+def run_fork(
+    changes: Mapping[str, Any],
+    at: int,
+    frames: int | None,
+    run: Path,
+    calib: Sequence[Path],
+    out: Path,
+    cancelled: Callable[[], bool],
+) -> None:
+    """Repeat the run in `run` with `changes` from frame `at` on; without the first three, an `Estimate`."""
+    from vins_core.record.fork import fork
+    from vins_core.record.recording import RunReader
+
+    with RunReader(run) as parent:
+        fork(parent, at, out, changes, frames, cancelled=cancelled)
 
 
 class Job:
@@ -106,9 +124,10 @@ def new_run_folder(recording: Path) -> Path:
     try:
         parent.mkdir(parents=True, exist_ok=True)
         old = sorted((p for p in parent.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
+        old = [p for p in old if not read_notes(p).kept]
         for folder in old[: max(len(old) - KEEP_RUNS + 1, 0)]:
             if time.time() - folder.stat().st_mtime > 3600:
                 shutil.rmtree(folder, ignore_errors=True)
     except OSError:
         parent = Path(tempfile.mkdtemp(prefix="vinspect-"))
-    return parent / f"{recording.stem}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+    return parent / f"{recording.stem}-{time.strftime('%Y%m%d-%H%M%S')}-{uuid.uuid4().hex[:4]}"

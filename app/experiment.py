@@ -1,0 +1,230 @@
+"""What-if in a tab: parameters other than the run's, and what they would have done (SPEC 9.3 a and b).
+
+The knobs move here; every wish is computed in a thread, the latest one wins, and a result says what it belongs to, so
+that the page never shows an answer to another question.  Stepping never waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from vins_core import params as parameters
+from vins_core.errors import ParameterError, VinspectError
+from vins_core.io.params_yaml import read_params
+from vins_core.params import Params
+from vins_core.record.fork import recorded_images
+from vins_core.record.reevaluate import Reevaluation
+from vins_core.sensors import ImageSource
+from vins_core.whatif import Effect, WhatIf, effect, needs_frontend, resolve
+
+from .context import RunView
+
+log = logging.getLogger("vinspect")
+
+SETTLE_S = 0.12
+"""A frame is solved again once it has been looked at for so long."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked: these changes to this frame of this run."""
+
+    run: RunView
+    frame: int
+    changes: tuple[tuple[str, Any], ...]
+    rerun: bool
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of a question; `problem` says why there is no `solved`."""
+
+    question: Question
+    judged: Reevaluation | None = None
+    solved: WhatIf | None = None
+    effect: Effect | None = None
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class ExperimentView:
+    """What the What-if panel shows."""
+
+    params: Params  # as the knobs stand
+    reference: Params  # of the run
+    revision: int  # counts changes that the page does not know of yet
+    rerun: bool  # the front end is run again
+    judged: Reevaluation | None = None  # of these params
+    solved: WhatIf | None = None  # of these params and the frame shown
+    effect: Effect | None = None
+    problem: str = ""
+    busy: bool = False
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        return parameters.changed(self.params, self.reference)
+
+
+class Experiment:
+    """The knobs of one tab.  `on_answer` is called in the event loop whenever there is something new to show."""
+
+    def __init__(self, on_answer: Callable[[], None]) -> None:
+        self._on_answer = on_answer
+        self._reference = self._params = Params()
+        self._run: RunView | None = None
+        self._revision = 0
+        self._rerun: bool | None = None  # None: when a parameter of the front end is changed
+        self._answer: Answer | None = None
+        self._asked: Question | None = None
+        self._task: asyncio.Task[None] | None = None
+        self._images: ImageSource | None = None
+        self._opened = contextlib.ExitStack()
+
+    # -- the knobs ---------------------------------------------------------------------------------------------------
+
+    def use(self, run: RunView) -> None:
+        """Experiment with this run; changes that were made to another stay as they are."""
+        if run is self._run:
+            return
+        changes = self.changes
+        self._run, self._answer = run, None
+        self._reference = run.header.params
+        self._params = parameters.replace(self._reference, changes)
+        self._revision += 1
+        self._opened.close()
+        self._images = None
+
+    def set(self, key: str, value: Any) -> None:
+        """Move a knob, None puts it back; ParameterError when it cannot stand there."""
+        if value is None:
+            value = parameters.get(self._reference, key)
+        try:
+            self._params = parameters.replace(self._params, {key: value})
+        except VinspectError:
+            self._revision += 1  # the page shows the wish: draw the knob where it stands
+            raise
+
+    def load(self, changes: dict[str, Any]) -> None:
+        """Other changes in place of those made."""
+        self._params = parameters.replace(self._reference, changes)
+        self._revision += 1
+
+    def reset(self) -> None:
+        self.load({})
+
+    def run_front_end(self, on: bool) -> None:
+        self._rerun = on
+
+    @property
+    def params(self) -> Params:
+        return self._params
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        return parameters.changed(self._params, self._reference)
+
+    @property
+    def rerun(self) -> bool:
+        return needs_frontend(self.changes) if self._rerun is None else self._rerun
+
+    # -- answers -----------------------------------------------------------------------------------------------------
+
+    def look(self, run: RunView, frame: int, *, asking: bool) -> ExperimentView:
+        """What is known about a frame with these knobs; with `asking`, the rest is worked out."""
+        self.use(run)
+        question = Question(run, frame, tuple(self.changes.items()), self.rerun)
+        if asking and question.changes and question != self._asked:
+            self._ask(question)
+        view = ExperimentView(self._params, self._reference, self._revision, self.rerun)
+        answer, busy = self._answer, self._task is not None and bool(question.changes)
+        if answer is None or answer.question.changes != question.changes:
+            return replace(view, busy=busy)
+        view = replace(view, judged=answer.judged)
+        if answer.question != question:
+            return replace(view, busy=busy)
+        return replace(view, solved=answer.solved, effect=answer.effect, problem=answer.problem, busy=busy)
+
+    @property
+    def idle(self) -> bool:
+        return self._task is None
+
+    def close(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        self._opened.close()
+
+    def _ask(self, question: Question) -> None:
+        self._asked = question
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._work())
+
+    async def _work(self) -> None:
+        """Answer the latest question until there is none left."""
+        done: Question | None = None
+        try:
+            while self._asked is not None and self._asked != done:
+                question = self._asked
+                moved = done is None or question.frame != done.frame
+                await self._judge(question)
+                if moved:
+                    await asyncio.sleep(SETTLE_S)
+                    if self._asked != question:
+                        continue
+                self._tell(await asyncio.to_thread(self._solve, question, self._answer))
+                done = question
+        finally:
+            self._task = None
+            self._on_answer()
+
+    async def _judge(self, question: Question) -> None:
+        answer = self._answer
+        if answer is not None and answer.question.run is question.run and answer.question.changes == question.changes:
+            return
+        while self._asked is not None and self._asked.run is question.run:
+            if not await asyncio.to_thread(question.run.read_gates):
+                break
+        judged = question.run.gates.reevaluate(dict(question.changes))
+        self._tell(Answer(replace(question, frame=-1), judged))
+
+    def _tell(self, answer: Answer) -> None:
+        self._answer = answer
+        self._on_answer()
+
+    def _solve(self, question: Question, known: Answer | None) -> Answer:
+        judged = known.judged if known is not None and known.question.changes == question.changes else None
+        answer = Answer(question, judged)
+        try:
+            params = parameters.replace(question.run.header.params, dict(question.changes))
+            images = self._source(question) if question.rerun else None
+            solved = resolve(question.run.reader, question.frame, params, images, question.rerun)
+            return replace(answer, solved=solved, effect=effect(solved.before, solved.after))
+        except VinspectError as problem:
+            return replace(answer, problem=str(problem))
+        except Exception as problem:
+            log.exception("what-if of frame %d", question.frame)
+            return replace(answer, problem=f"The frame could not be solved with these parameters ({problem}).")
+
+    def _source(self, question: Question) -> ImageSource:
+        if self._images is None:
+            self._images = self._opened.enter_context(recorded_images(question.run.reader))
+        return self._images
+
+
+def parse_parameters(text: str, name: str) -> dict[str, Any]:
+    """Changed parameters from the text of a YAML file that the browser read; ParameterError names it."""
+    if not text:
+        raise ParameterError(f"{name} is empty or too large for a file of parameters")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "parameters.yaml"
+        path.write_text(text, "utf-8")
+        try:
+            return read_params(path)
+        except ParameterError as problem:
+            raise ParameterError(str(problem).replace(str(path), name)) from None
