@@ -75,6 +75,28 @@ class Fork(msgspec.Struct, tag_field="k", tag="fork"):
     """Repeat the run from the frame shown with the knobs as they stand."""
 
 
+class Open(msgspec.Struct, tag_field="k", tag="open"):
+    id: str  # of a run
+
+
+class Compare(msgspec.Struct, tag_field="k", tag="compare"):
+    id: str  # of a run; empty: with none
+
+
+class Rename(msgspec.Struct, tag_field="k", tag="rename"):
+    id: str
+    name: str
+
+
+class Keep(msgspec.Struct, tag_field="k", tag="keep"):
+    id: str
+    on: bool
+
+
+class Stop(msgspec.Struct, tag_field="k", tag="stop"):
+    id: str  # of a run that grows
+
+
 class Page(msgspec.Struct, tag_field="k", tag="page"):
     panels: tuple[str, ...]  # KEYs of the panels that can be seen
     width: int  # of the page, CSS px
@@ -82,7 +104,10 @@ class Page(msgspec.Struct, tag_field="k", tag="page"):
     canvas: int  # width of the 3D view
 
 
-Event = Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork | Page
+Event = (
+    Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
+    | Open | Compare | Rename | Keep | Stop | Page
+)  # fmt: skip
 SCRIPTS = ("page.js", "knobs.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 

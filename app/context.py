@@ -42,7 +42,9 @@ if TYPE_CHECKING:
     from vins_core.record.recording import RunReader
     from vins_core.record.reevaluate import GateHistory
 
+    from .comparison import OtherRun
     from .experiment import ExperimentView
+    from .store import RunEntry
 
 GATE_SLICE = 50
 """Frames whose gates are read at a time, so that whoever waits gets its turn."""
@@ -127,3 +129,6 @@ class PanelContext:
     progress: str = ""  # what the estimator is doing while it still runs, one sentence
     experiment: ExperimentView | None = None  # the knobs, and what they would have done here
     fork_frames: int = 0  # how many frames a fork computes; 0: to the end
+    run_id: str = ""  # of the run shown
+    runs: tuple[RunEntry, ...] = ()  # every run there is to open or compare with
+    other: OtherRun | None = None  # the run compared with

@@ -66,7 +66,8 @@ class PanelView:
 
 
 def _of_run(ctx: PanelContext) -> object:
-    return id(ctx.run), len(ctx.run), ctx.signals
+    other = (id(ctx.other.run), len(ctx.other.run)) if ctx.other else ()
+    return id(ctx.run), len(ctx.run), ctx.signals, other
 
 
 def message(key: str, sentence: str) -> str:

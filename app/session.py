@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,22 +22,28 @@ from vins_core.sensors import ImageRef
 
 from .browser import (
     Bridge,
+    Compare,
     Event,
     Fork,
     FrontEnd,
     GoTo,
+    Keep,
     Knob,
     Load,
+    Open,
     Page,
     Pick,
     Play,
+    Rename,
     Reset,
     Save,
     Seek,
     Set,
     Span,
     Step,
+    Stop,
 )
+from .comparison import Comparer, OtherRun, same_instants
 from .context import PanelContext, RunView, Selection
 from .experiment import Experiment, parse_parameters
 from .html import tag
@@ -61,6 +68,7 @@ class Session:
         self.store = runs if isinstance(runs, RunStore) else RunStore(runs)
         self.opened = opened = self.store.first
         self.experiment = Experiment(self.refresh)
+        self.comparer = Comparer(self.refresh)
         self.fork_frames = 0  # 0: to the end
         self.want, self.shown = 0, -1
         self.selection = Selection()
@@ -78,6 +86,7 @@ class Session:
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._page = int(client.camera.image_width), int(client.camera.image_height)
         self._canvas = 0
+        self._tasks: set[asyncio.Task[None]] = set()
         self.other: OpenRun | None = None
         """The run compared with."""
         self.scene = SceneView(client)
@@ -130,6 +139,26 @@ class Session:
             return
         self.refresh()
 
+    def use_run(self, id: str) -> None:
+        """Show another run, at the same instant where it has one."""
+        run = self.store.get(id)
+        if run is None or run is self.opened or run.view is None:
+            return
+        before, self.opened = self.opened, run
+        if self.other is run:
+            self.other = before
+        there = same_instants(before.view, run.view) if before.view is not None else np.zeros(0, int)
+        k = int(there[self.want]) if 0 <= self.want < len(there) else -1
+        self.live = False
+        self.want, self.shown, self._fitted, self._unit_m = max(k, 0), -1, 0, 0.0
+        self.refresh()
+
+    def compare_with(self, id: str) -> None:
+        """Draw another run beside this one; "" for none."""
+        run = self.store.get(id)
+        self.other = run if run is not self.opened else None
+        self.refresh()
+
     def set_knob(self, key: str, value: bool | float | str | None) -> None:
         try:
             self.experiment.set(key, value)
@@ -163,6 +192,7 @@ class Session:
         """End the render loop; the page is gone."""
         self._closed = True
         self.experiment.close()
+        self.comparer.close()
         self._wake.set()
 
     # -- the page ----------------------------------------------------------------------------------------------------
@@ -335,6 +365,18 @@ class Session:
                 self.refresh()
             case Fork():
                 self.fork()
+            case Open(id):
+                self.use_run(id)
+            case Compare(id):
+                self.compare_with(id)
+            case Rename(id, name) if run := self.store.get(id):
+                self.store.rename(run, name)
+                self.refresh()
+            case Keep(id, on) if run := self.store.get(id):
+                self.store.keep(run, on)
+                self.refresh()
+            case Stop(id) if (run := self.store.get(id)) and run.job is not None:
+                run.job.cancel()
             case Page(panels, width, height, canvas):
                 if (width, height) != self._page:
                     self._page = width, height
@@ -342,8 +384,21 @@ class Session:
                 else:
                     self._follow_canvas(canvas)
                 if set(panels) != self._visible:
+                    if "runs" in set(panels) - self._visible:
+                        self._background(self.store.scan)
                     self._visible = set(panels)
                     self.refresh()
+
+    def _background(self, work: Callable[[], None]) -> None:
+        """Do something slow in a thread, then draw again."""
+
+        async def wait() -> None:
+            await asyncio.to_thread(work)
+            self.refresh()
+
+        task = asyncio.get_running_loop().create_task(wait())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def _explain(self, key: str) -> None:
         """Say what a parameter was in this run, where that came from, and how to run with another."""
@@ -398,6 +453,8 @@ class Session:
                     panel.render(ctx)
             frame = self._scene_frame(k)
             if frame is not None:
+                solved = ctx.experiment.solved if ctx.experiment else None
+                frame = replace(frame, other=ctx.other, resolved=solved.after.window if solved else None)
                 self.scene.update(frame)
                 self._aim(frame)
 
@@ -420,7 +477,13 @@ class Session:
             signals=self.layout.signals,
             experiment=self.experiment.look(run, k, asking="what_if" in self._visible),
             fork_frames=self.fork_frames,
+            run_id=self.opened.id,
+            runs=self.store.entries() if "runs" in self._visible else (),
+            other=self._beside(run),
         )
+
+    def _beside(self, run: RunView) -> OtherRun | None:
+        return None if self.other is None else self.comparer.look(run, self.other, self.store.name(self.other))
 
     def _scene_frame(self, k: int) -> SceneFrame | None:
         run = self._run

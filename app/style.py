@@ -53,6 +53,12 @@ _BASE = f"""
 .vi-empty .vi-key{{margin:0 1px}}
 """
 
+_TABS = """
+[role=tablist]:has(>:nth-child(5)) [role=tab],[role=tablist]:has([role=tab]:nth-of-type(5)) [role=tab]{
+ padding-left:8px!important;padding-right:8px!important}
+[role=tablist]:has([role=tab]:nth-of-type(5)) [data-position=left]{display:none}
+"""
+
 _CHIPS = f"""
 .vi-chip{{display:inline-flex;align-items:baseline;gap:4px;background:{RAISED};border-radius:4px;padding:1px 7px;
  white-space:nowrap;color:#C6CCD4}}
@@ -228,7 +234,22 @@ _KNOBS = f"""
 .vi-p .vi-table,.vi-costs+.vi-table{{margin-top:5px}}
 """
 
+_RUNS = f"""
+.vi-run{{padding:5px 8px;margin:5px 0;border-radius:5px;background:{SUNKEN};border:1px solid {LINE}}}
+.vi-run.vi-child{{margin-left:14px}}
+.vi-runhead{{display:flex;gap:4px;align-items:center}}
+.vi-runhead .vi-button{{height:22px;padding:1px 6px}}
+.vi input.vi-runname{{flex:1 1 auto;min-width:0;height:22px;border-color:transparent;background:none;font-weight:600;
+ color:{STRONG};padding:1px 4px}}
+.vi input.vi-runname:hover,.vi input.vi-runname:focus{{border-color:#454C57;background:{RAISED}}}
+.vi-side{{flex:none;width:16px;text-align:center;font-weight:700;border-radius:3px}}
+.vi-side.vi-a{{background:{ESTIMATE};color:#10222D}} .vi-side.vi-b{{background:{FORK};color:#2A0F22}}
+.vi-growing{{display:flex;gap:8px;align-items:center;margin:4px 0}} .vi-growing .vi-bar{{flex:1}}
+.vi-outcome .vi-runhead{{margin-top:5px}}
+.vi-value .vi-otherval{{color:{FORK};font-size:11px}}
+"""
+
 FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
 """Colours of the three factor types, wherever a cost is split."""
 
-CSS = "".join((_BASE, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _TIPS))
+CSS = "".join((_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _TIPS))

@@ -11,7 +11,7 @@ from vins_core import params as parameters
 
 from ..context import PanelContext, RunView
 from ..html import Html, brief, empty, key_cap, number, panel, tag, term, unit
-from ..palette import BAD, ESTIMATE, IMU, PRIOR
+from ..palette import BAD, ESTIMATE, FORK, IMU, PRIOR
 from ..series import RunSeries
 from ..style import FACTOR_COLOURS
 from ..widgets.plot import WIDTH, line, svg, top_of
@@ -65,9 +65,12 @@ def present(ctx: PanelContext) -> list[tuple[Signal, np.ndarray]]:
 
 def backdrop(ctx: PanelContext) -> str:
     """Names, curves and the playhead; the column on the right is left free for `render`."""
-    shown = [(signal, values, _axis(ctx.run, signal, values)) for signal, values in present(ctx)]
-    names = (_name(signal, values, top) for signal, values, (top, _) in shown)
-    strips = (_strip(signal, values, top, limit) for signal, values, (top, limit) in shown)
+    shown = []
+    for signal, values in present(ctx):
+        other = None if ctx.other is None else ctx.other.on_clock(signal.values(ctx.other.run.series))
+        shown.append((signal, values, other, *_axis(ctx.run, signal, values, other)))
+    names = (_name(signal, values, top) for signal, values, _, top, _ in shown)
+    strips = (_strip(signal, values, other, top, limit) for signal, values, other, top, limit in shown)
     lane = tag(
         "div",
         *strips,
@@ -84,20 +87,32 @@ def render(ctx: PanelContext) -> str:
     if not shown:
         return panel(KEY, empty("Nothing has been estimated yet.", "Press ", key_cap("→"), " to step."))
     values = (
-        tag("div", number(float(v[ctx.frame])), unit(signal.unit), cls="vi-value", style=_TALL, data_signal=signal.key)
+        tag("div", tag("span", number(float(v[ctx.frame])), unit(signal.unit)), _other_value(ctx, signal),
+            cls="vi-value", style=_TALL, data_signal=signal.key)
         for signal, v in shown
-    )
+    )  # fmt: skip
     column = tag("div", *values, cls="vi-values", style=f"top:{-len(shown) * (HEIGHT + GAP)}px")
     return tag("div", tag("div", column, cls="vi-over"), cls="vi vi-tight", data_vip=KEY)
+
+
+def _other_value(ctx: PanelContext, signal: Signal) -> Html | None:
+    """What the run compared with has at this instant."""
+    k = ctx.other.at(ctx.frame) if ctx.other is not None else None
+    if ctx.other is None or k is None:
+        return None
+    return tag("span", number(float(signal.values(ctx.other.run.series)[k])), cls="vi-otherval")
 
 
 _TALL = f"height:{HEIGHT}px;margin-bottom:{GAP}px"
 
 
-def _axis(run: RunView, signal: Signal, values: np.ndarray) -> tuple[float, float | None]:
-    """(upper end, limit to draw)."""
+def _axis(run: RunView, signal: Signal, values: np.ndarray, other: np.ndarray | None) -> tuple[float, float | None]:
+    """(upper end, limit to draw); the run compared with may stretch the axis, but not flatten the run shown."""
     limit = float(parameters.get(run.header.params, signal.limit)) if signal.limit else None
-    return max(top_of(values), 1.15 * (limit or 0.0)), limit
+    top = top_of(values)
+    if other is not None and np.isfinite(other).any():
+        top = max(top, min(top_of(other), 3 * top))
+    return max(top, 1.15 * (limit or 0.0)), limit
 
 
 def _name(signal: Signal, values: np.ndarray, top: float) -> Html:
@@ -113,10 +128,11 @@ def _name(signal: Signal, values: np.ndarray, top: float) -> Html:
     )
 
 
-def _strip(signal: Signal, values: np.ndarray, top: float, limit: float | None) -> Html:
+def _strip(signal: Signal, values: np.ndarray, other: np.ndarray | None, top: float, limit: float | None) -> Html:
     curve = line(values, top, HEIGHT, signal.colour)
+    beside = line(other, top, HEIGHT, FORK) if other is not None else Html("")
     rule = _rule(HEIGHT - limit / top * (HEIGHT - 2) - 1) if limit is not None else Html("")
-    return tag("div", svg(HEIGHT, rule, curve), cls="vi-strip", style=_TALL)
+    return tag("div", svg(HEIGHT, rule, beside, curve), cls="vi-strip", style=_TALL)
 
 
 def _rule(y: float) -> Html:

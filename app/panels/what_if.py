@@ -23,6 +23,7 @@ from ..experiment import ExperimentView
 from ..html import (
     Child,
     Html,
+    brief,
     empty,
     fixed,
     frame_link,
@@ -250,7 +251,7 @@ def _decided(solved: WhatIf) -> Iterator[Html]:
 def _side(side: Side) -> str:
     if side.limit is None:
         return side.outcome
-    return f"{number(side.value, 4)} {side.op} {number(side.limit)}: {side.outcome}"
+    return f"{number(side.value, 4)} {side.op} {brief(side.limit)}: {side.outcome}"
 
 
 def _unsolved(solved: WhatIf) -> Iterator[Html]:

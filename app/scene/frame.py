@@ -11,6 +11,7 @@ from vins_core.geometry import se3
 from vins_core.report import FrameReport, WindowReport
 from vins_core.sensors import CameraCalibration
 
+from ..comparison import OtherRun
 from ..context import RunView, Selection
 from ..series import RunSeries
 
@@ -26,6 +27,8 @@ class SceneFrame:
     thumbnail: np.ndarray | None  # (rows, columns, 3) uint8
     passed: np.ndarray  # (m, 3) landmarks that left the window
     unit_m: float  # see `scene_unit`
+    other: OtherRun | None = None  # the run compared with
+    resolved: WindowReport | None = None  # this frame's window, solved with other parameters
 
     @property
     def series(self) -> RunSeries:

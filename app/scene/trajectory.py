@@ -21,14 +21,14 @@ class TrajectoryLayer:
         self._future = Segments(scene, "/trajectory/future", FUTURE, 1.4)
         self._past = Segments(scene, "/trajectory/past", palette.rgb(palette.ESTIMATE), 2.6)
         self._truth = Segments(scene, "/trajectory/truth", palette.rgb(palette.TRUTH), 1.4)
-        self._truth_of = -1  # frames when the truth was last drawn
+        self._truth_of = (0, -1)  # the run and its frames when the truth was last drawn
 
     def update(self, frame: SceneFrame) -> None:
         p = frame.series.p_w_b
         self._past.update(polyline(p[: frame.frame + 1]))
         self._future.update(polyline(p[frame.frame :]))
-        if self._truth_of != len(p):
-            self._truth_of = len(p)
+        if self._truth_of != (of := (id(frame.run), len(p))):
+            self._truth_of = of
             self._truth.update(dashes(frame.series.truth_p, DASH_UNITS * frame.unit_m))
 
     def show(self, toggle: str, on: bool) -> None:

@@ -7,6 +7,7 @@ import viser
 
 from vins_core.report import LandmarkStatus
 
+from .comparison import ComparisonLayer
 from .frame import Layer, SceneFrame
 from .ground import GroundLayer
 from .landmarks import LandmarkLayer, by_status
@@ -14,7 +15,7 @@ from .selection import SelectionLayer
 from .trajectory import TrajectoryLayer
 from .window import WindowLayer
 
-LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer)
+LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer)
 TOGGLES: dict[str, str] = {name: title for layer in (*LAYERS, GroundLayer) for name, title in layer.toggles.items()}
 """Every layer that can be switched, with the title of its checkbox.  All are on by default."""
 
