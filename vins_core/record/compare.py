@@ -272,7 +272,7 @@ _STAGE_OF = {
     "initialization": "initialization",
     "solve": "solve",
     "window": "solve",
-    "pose": "solve",
+    "pose": "status",  # withdrawn when the estimator has failed; its numbers are those of the window
     "landmarks": "landmarks",
     "health": "health",
     "marginalization": "marginalization",
@@ -280,9 +280,11 @@ _STAGE_OF = {
 
 
 def _precedes(number: NumberDifference, decision: Difference) -> bool:
-    """Numbers of a stage come before its decisions, unless only the limit was moved."""
+    """Within a stage a number comes first only where the gate compared another value."""
+    if number.frame != decision.frame:
+        return number.frame < decision.frame
     a, b = STAGES.index(number.stage), STAGES.index(decision.stage)
-    return a < b or (a == b and decision.cause != "limit")
+    return a < b or (a == b and "value" in decision.cause)
 
 
 def _numbers(a: FrameReport, b: FrameReport) -> Iterator[tuple[str, str, Any, Any]]:

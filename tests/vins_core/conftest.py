@@ -1,0 +1,3 @@
+from sample import sample_run
+
+__all__ = ["sample_run"]
