@@ -139,6 +139,7 @@ _CAMERA = f"""
 .vi-zoom .x:hover path:not(.h){{stroke:{SELECTION}}}
 .vi-zoom .o{{cursor:pointer;stroke-width:.8px;stroke:#000}}
 .vi-zoom circle:hover,.vi-zoom .o:hover{{stroke:{SELECTION};--s:2.4px}}
+.vi-zoom .w{{--r:6px;--s:1.8px}}
 .vi-zoom .p{{--r:6.5px;--s:2.3px;stroke:{SELECTION};fill:#F0E44240}}
 .vi-noimg{{position:absolute;inset:0;display:flex;align-items:center;justify-content:center;padding:20px;
  text-align:center;color:{MUTED};pointer-events:none}}

@@ -82,6 +82,37 @@ def track_row(tracks: TrackReport, track: int) -> int | None:
     return int(at[0]) if len(at) else None
 
 
+@dataclass(frozen=True)
+class TrackChanges:
+    """How two tracking attempts of one frame differ; rows are pixels (u, v)."""
+
+    moved: np.ndarray  # (n, 2, 2) of tracks in both: where it was, where it is now
+    moved_ids: np.ndarray
+    gone: np.ndarray  # (m, 2) of tracks that only the first has
+    gone_ids: np.ndarray
+    come: np.ndarray  # (k, 2) of tracks that only the second has
+    come_ids: np.ndarray
+
+
+def track_changes(
+    before: TrackReport, after: TrackReport, moved_px: float = 0.05, other_px: float = 3.0
+) -> TrackChanges:
+    """Tracks by id; an id that lies further than `other_px` away names another corner."""
+    _, i, j = np.intersect1d(before.ids, after.ids, return_indices=True)
+    apart = np.linalg.norm(before.uv_px[i] - after.uv_px[j], axis=1)
+    i, j, apart = (v[apart <= other_px] for v in (i, j, apart))
+    moved = apart > moved_px
+    gone, come = (np.setdiff1d(np.arange(len(t.ids)), rows) for t, rows in ((before, i), (after, j)))
+    return TrackChanges(
+        np.stack([before.uv_px[i[moved]], after.uv_px[j[moved]]], 1),
+        after.ids[j[moved]],
+        before.uv_px[gone],
+        before.ids[gone],
+        after.uv_px[come],
+        after.ids[come],
+    )
+
+
 # Landmarks
 
 

@@ -13,7 +13,7 @@ from vins_core.report import LOSS_REASONS, LandmarkStatus
 from .. import views
 from ..context import PanelContext
 from ..html import Html, empty, muted, panel, row, strong, tag, term, text
-from ..palette import BAD, OLD_TRACK, SELECTION, age_colour
+from ..palette import BAD, FORK, OLD_TRACK, SELECTION, age_colour
 from ..widgets.marks import LOSS_MARKS, STAR, dot, loss_mark, star
 
 TITLE = "Camera"
@@ -32,7 +32,7 @@ def _picture(ctx: PanelContext) -> Html:
     image = tag("img", draggable="false", alt="", src=ctx.image_uri) if ctx.image_uri else None
     svg = Html(
         f'<svg viewBox="0 0 {ctx.width} {ctx.height}" style="--u:{ctx.width / _MARKS_PER_WIDTH:.3f}">'
-        f"{_tracks(ctx)}{_lost(ctx)}</svg>"
+        f"{_tracks(ctx)}{_lost(ctx)}{_changed(ctx)}</svg>"
     )
     note = None if ctx.image_uri else tag("div", ctx.image_note or "This frame has no image.", cls="vi-noimg")
     return tag(
@@ -96,6 +96,46 @@ def _lost(ctx: PanelContext) -> str:
     return "".join(marks)
 
 
+def _changes(ctx: PanelContext) -> views.TrackChanges | None:
+    """What tracking the images again with other parameters changed here."""
+    solved = ctx.experiment.solved if ctx.experiment else None
+    if solved is None or not solved.reran_frontend:
+        return None
+    return views.track_changes(solved.before.tracks, solved.after.tracks)
+
+
+def _changed(ctx: PanelContext) -> str:
+    """Tracks that other parameters change: a ring where it lands now, a cross where none is left, a dot where one is
+    new."""
+    changes = _changes(ctx)
+    if changes is None:
+        return ""
+    marks = []
+    for (u, v), id in zip(np.round(changes.moved[:, 1], 1).tolist(), changes.moved_ids.tolist()):
+        title = f"<title>track {id} would lie elsewhere</title>"
+        marks.append(
+            f'<circle class="w" cx="{u}" cy="{v}" stroke="{FORK}" fill="none" data-moved="{id}">{title}</circle>'
+        )
+    for (u, v), id in zip(np.round(changes.come, 1).tolist(), changes.come_ids.tolist()):
+        title = f"<title>track {id} would be there</title>"
+        marks.append(f'<circle cx="{u}" cy="{v}" stroke="#000" fill="{FORK}" data-come="{id}">{title}</circle>')
+    shape = "M-4,-4L4,4M4,-4L-4,4"
+    for (u, v), id in zip(np.round(changes.gone, 1).tolist(), changes.gone_ids.tolist()):
+        marks.append(
+            f'<g class="x" transform="translate({u},{v})" data-gone="{id}"><path class="h" d="{shape}"/>'
+            f'<path d="{shape}" stroke="{FORK}"/><title>track {id} would be gone</title></g>'
+        )
+    return "".join(marks)
+
+
+def _changes_legend(changes: views.TrackChanges) -> Html:
+    counts = (("moved", len(changes.moved)), ("new", len(changes.come)), ("gone", len(changes.gone)))
+    items = [tag("span", word, " ", strong(n)) for word, n in counts]
+    what_if = tag("span", "what-if", style=f"color:{FORK}")
+    pairs = [tag("span", tag("span", sign, style=f"color:{FORK}"), " ", item) for sign, item in zip("○●×", items)]
+    return tag("div", what_if, *pairs, cls="vi-legend", data_changes="1")
+
+
 def _legend(ctx: PanelContext) -> Html:
     tracks = ctx.report.tracks
     old = age_colour(OLD_TRACK)
@@ -121,6 +161,9 @@ def _legend(ctx: PanelContext) -> Html:
     elif len(tracks.ids):
         lost = [muted("no track was lost since the previous frame")]
     parts = [tag("div", *items, cls="vi-legend"), tag("div", *lost, cls="vi-legend")]
+    changes = _changes(ctx)
+    if changes is not None:
+        parts.append(_changes_legend(changes))
     if not len(tracks.ids):
         parts.append(
             empty("No track is alive in this frame.", "Look at ", strong("Gates"), " for the reason, or step back.")
