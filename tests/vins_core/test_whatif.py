@@ -61,9 +61,9 @@ def test_only_the_front_end_shows_what_its_parameters_do(run: RunReader) -> None
 
 
 def test_the_age_a_track_needs_is_applied_to_recorded_tracks(run: RunReader) -> None:
-    assert not needs_frontend({"frontend.min_track_count": 4})
-    changed = resolve(run, 22, with_changes(run, frontend__min_track_count=4))
-    again = resolve(run, 22, with_changes(run, frontend__min_track_count=4), rerun_frontend=True)
+    assert not needs_frontend({"frontend.min_track_count": 10})
+    changed = resolve(run, 22, with_changes(run, frontend__min_track_count=10))
+    again = resolve(run, 22, with_changes(run, frontend__min_track_count=10), rerun_frontend=True)
     assert differences(changed.after, again.after) == []
     assert changed.after.solve is not None and changed.before.solve is not None
     assert len(changed.after.solve.visual_ids) < len(changed.before.solve.visual_ids)
