@@ -39,6 +39,7 @@ class Play(msgspec.Struct, tag_field="k", tag="play"):
 class Pick(msgspec.Struct, tag_field="k", tag="pick"):
     t: str  # "track" or "frame"
     i: int  # -1 clears
+    j: int = -1  # a second frame
 
 
 class Knob(msgspec.Struct, tag_field="k", tag="knob"):
@@ -97,6 +98,14 @@ class Stop(msgspec.Struct, tag_field="k", tag="stop"):
     id: str  # of a run that grows
 
 
+class Link(msgspec.Struct, tag_field="k", tag="link"):
+    """The address of the page names a view."""
+
+    run: str = ""  # id
+    frame: int = -1
+    layout: str = ""
+
+
 class Page(msgspec.Struct, tag_field="k", tag="page"):
     panels: tuple[str, ...]  # KEYs of the panels that can be seen
     width: int  # of the page, CSS px
@@ -106,7 +115,7 @@ class Page(msgspec.Struct, tag_field="k", tag="page"):
 
 Event = (
     Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
-    | Open | Compare | Rename | Keep | Stop | Page
+    | Open | Compare | Rename | Keep | Stop | Link | Page
 )  # fmt: skip
 SCRIPTS = ("page.js", "knobs.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)

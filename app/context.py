@@ -15,7 +15,7 @@ Text that comes from a file (topic, path, name) is escaped before it enters html
 In the page there is one helper object, `vi` (see browser.py), for html attributes:
 
     vi.send({k:'frame', i:12})                   go to a frame
-    vi.send({k:'pick', t:'track', i:57})         select ("track" or "frame"); i:-1 clears
+    vi.send({k:'pick', t:'track', i:57})         select ("track" or "frame"); i:-1 clears; j: a second frame
     vi.send({k:'step', d:1, kf:false})           one frame on, or one keyframe
     vi.send({k:'knob', key:'window.loss'})       to the knob of a parameter, in the What-if panel
     onpointerdown/onpointermove='vi.scrub(event,this)'   seek by the pointer's share of the element's width
@@ -52,13 +52,17 @@ GATE_SLICE = 50
 
 @dataclass(frozen=True)
 class Selection:
-    """What the user picked: nothing, a track (and with it its landmark), or a frame of the window."""
+    """What the user picked: nothing, a track (and with it its landmark), or one or two frames of the window."""
 
     kind: str = ""  # "" | "track" | "frame"
     id: int = -1
+    other: int = -1  # a second frame, of a block of the prior that couples two
 
     def is_track(self, id: int) -> bool:
         return self.kind == "track" and self.id == id
+
+    def is_frame(self, frame: int) -> bool:
+        return self.kind == "frame" and frame in (self.id, self.other)
 
 
 class RunView:

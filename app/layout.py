@@ -5,12 +5,15 @@ Widths are shares of the page; a floating panel is given by its gaps to the edge
 
 from __future__ import annotations
 
+import contextlib
+import os
+import re
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from vins_core.errors import ParameterError
+from vins_core.errors import OutputError, ParameterError
 
 from .places import shipped
 
@@ -82,6 +85,36 @@ def read_layout(path: Path) -> Layout:
 def shipped_layouts() -> list[Layout]:
     """The layouts that come with the program, by hotkey."""
     return sorted((read_layout(p) for p in sorted(shipped("layouts").glob("*.json"))), key=lambda layout: layout.hotkey)
+
+
+def user_folder() -> Path:
+    """`vinspect/layouts` in the user's configuration."""
+    return Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "vinspect" / "layouts"
+
+
+def user_layouts() -> list[Layout]:
+    """The layouts that the user saved, by name; those that are none any more are left out."""
+    found = []
+    for path in sorted(user_folder().glob("*.json")):
+        with contextlib.suppress(ParameterError):
+            found.append(msgspec.structs.replace(read_layout(path), name=path.stem, hotkey=""))
+    return found
+
+
+def save_layout(layout: Layout, title: str) -> Layout:
+    """Keep a layout under a title of the user's; ParameterError when it names no file, OutputError when it fails."""
+    title = " ".join(title.split())
+    name = "-".join(re.findall(r"[a-z0-9]+", title.lower()))[:40]
+    if not name or name in {known.name for known in shipped_layouts()}:
+        raise ParameterError(f"a layout cannot be called {title!r}; give it a name of its own, in letters and digits")
+    saved = msgspec.structs.replace(layout, name=name, title=title[:60], hotkey="")
+    path = user_folder() / f"{name}.json"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(saved), indent=2))
+    except OSError as problem:
+        raise OutputError(f"layout {path} cannot be written: {problem.strerror}") from None
+    return saved
 
 
 def place(

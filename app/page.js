@@ -29,6 +29,23 @@
     vi.send({ k: "seek", f: Math.min(1, Math.max(0, (e.clientX - box.left) / box.width)) });
   };
 
+  // The address names the view: it is asked for when a page opens, and follows it afterwards.  Ids, never paths.
+  vi.asks = () => {
+    const asked = new URLSearchParams(location.search);
+    const event = { k: "link" };
+    for (const name of ["run", "layout"]) if (asked.get(name)) event[name] = asked.get(name);
+    if (/^\d{1,9}$/.test(asked.get("frame") ?? "")) event.frame = Number(asked.get("frame"));
+    if (Object.keys(event).length > 1) vi.send(event);
+  };
+  vi.address = () => {
+    const link = document.querySelector("[data-link]")?.dataset.link;
+    if (!link || link === vi.linked) return;
+    vi.linked = link;
+    const url = new URL(location.href);
+    for (const [name, value] of new URLSearchParams(link)) url.searchParams.set(name, value);
+    history.replaceState(history.state, "", url);
+  };
+
   // Zoom and pan live in CSS variables, so that they survive new html.
   vi.place = (box) => {
     const keep = (v, size) => Math.min(0, Math.max(size * (1 - vi.z), v));
@@ -64,6 +81,7 @@
   // Only what can be seen is rendered; only the page knows what that is, and how wide the 3D view is.
   vi.reported = "";
   vi.report = () => {
+    vi.address();
     const seen = [...document.querySelectorAll("[data-vip]")].filter((el) => el.offsetParent !== null);
     const panels = [...new Set(seen.map((el) => el.dataset.vip))].sort();
     const canvas = document.querySelector("canvas");
@@ -75,6 +93,7 @@
       vi.send(event);
     }
   };
+  vi.asks();
   clearInterval(vi.timer);
   vi.timer = setInterval(vi.report, 200);
   vi.report();

@@ -17,7 +17,7 @@ import viser
 
 from vins_core.errors import RecordingError
 
-from .layout import shipped_layouts
+from .layout import shipped_layouts, user_layouts
 from .places import shipped
 from .runs import OpenRun, open_path
 from .session import Session
@@ -68,7 +68,7 @@ class Server:
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         try:
-            self.sessions[client.client_id] = Session(client, self.store, self._layouts)
+            self.sessions[client.client_id] = Session(client, self.store, [*self._layouts, *user_layouts()])
         except Exception:
             log.exception("a tab could not be set up")
 

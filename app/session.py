@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import viser
 
@@ -29,6 +30,7 @@ from .browser import (
     GoTo,
     Keep,
     Knob,
+    Link,
     Load,
     Open,
     Page,
@@ -47,7 +49,7 @@ from .comparison import Comparer, OtherRun, same_instants
 from .context import PanelContext, RunView, Selection
 from .experiment import Experiment, parse_parameters
 from .html import tag
-from .layout import Layout, Placement, canvas_width, place
+from .layout import Layout, Panel, Placement, canvas_width, place, save_layout
 from .panel_view import PANELS, PanelView
 from .runs import OpenRun
 from .scene.frame import SceneFrame, scene_unit
@@ -202,15 +204,20 @@ class Session:
         gui.set_panel_label("vinspect")
         with gui.add_folder("Session"):
             self._bridge = Bridge(gui, self._on_event)
-            titles = [layout.title for layout in self._layouts]
-            self._layout_menu = gui.add_dropdown("layout", titles)
+            self._layout_menu = gui.add_dropdown("layout", [layout.title for layout in self._layouts])
             self._follow_box = gui.add_checkbox("follow", False)
             self._progress = gui.add_progress_bar(0.0, visible=False, animated=True)
+            self._layout_name = gui.add_text("name", "", hint="a name for your own layout")
+            save = gui.add_button("Save this layout", icon=viser.Icon.DEVICE_FLOPPY)
             self._cancel = gui.add_button("Stop the estimator", visible=False, icon=viser.Icon.PLAYER_STOP)
 
         @self._layout_menu.on_update
         async def _(_: viser.GuiEvent) -> None:
-            self.use_layout(self._layouts[titles.index(self._layout_menu.value)])
+            self.use_layout(next(x for x in self._layouts if x.title == self._layout_menu.value))
+
+        @save.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.save_layout(self._layout_name.value)
 
         @self._follow_box.on_update
         async def _(_: viser.GuiEvent) -> None:
@@ -280,6 +287,38 @@ class Session:
         self._fitted = 0
         self.refresh()
 
+    def save_layout(self, title: str) -> None:
+        """Keep panels, layers and signals as they are now under a name of the user's."""
+        layers = {toggle: box.value for toggle, box in self._boxes.items()} or self.layout.layers
+        panels = {name: shown_first(spec, self._visible) for name, spec in self.layout.panels.items()}
+        camera = "follow" if self.following else "fit"
+        layout = msgspec.structs.replace(self.layout, panels=panels, layers=layers, camera=camera)
+        try:
+            saved = save_layout(layout, title)
+        except VinspectError as problem:
+            self._tell("Not saved", str(problem))
+            return
+        self._layouts = [x for x in self._layouts if x.name != saved.name] + [saved]
+        self._layout_menu.options = [x.title for x in self._layouts]
+        self.use_layout(saved)
+        self._tell("Layout saved", f"{saved.title} is in the menu from now on.")
+
+    def reproduce(self, run: str, frame: int, layout: str) -> None:
+        """The view that a link names; what is not there stays as it is."""
+        if run and run != self.opened.id and self.store.get(run) is None:
+
+            def again() -> None:
+                self.reproduce(run if self.store.get(run) is not None else "", frame, layout)
+
+            self._background(self.store.scan, again)
+            return
+        self.use_run(run)
+        for known in self._layouts:
+            if known.name == layout and known is not self.layout:
+                self.use_layout(known)
+        if frame >= 0:
+            self.go(frame)
+
     def _add_tab(self, window: viser.PanelHandle, key: str) -> None:
         if key == "layers":
             with window.add_tab("Layers", viser.Icon.STACK_2):
@@ -293,6 +332,7 @@ class Session:
         with window.add_tab(module.TITLE, getattr(viser.Icon, module.ICON)):
             if not self.panels:
                 self._bridge.install()
+                self._link = self.client.gui.add_html("")
             self.panels[key] = PanelView(self.client.gui, module)
 
     def _add_layer_box(self, toggle: str, title: str) -> None:
@@ -344,8 +384,8 @@ class Session:
                 self.step(d, kf)
             case Play():
                 self.play()
-            case Pick("track" | "frame" as kind, i):
-                self.select(Selection(kind, i) if i >= 0 else Selection())
+            case Pick("track" | "frame" as kind, i, j):
+                self.select(Selection(kind, i, j) if i >= 0 else Selection())
             case Knob(key):
                 self._explain(key)
             case Set(key, v):
@@ -369,14 +409,16 @@ class Session:
                 self.use_run(id)
             case Compare(id):
                 self.compare_with(id)
-            case Rename(id, name) if run := self.store.get(id):
-                self.store.rename(run, name)
+            case Rename(id, name) if named := self.store.get(id):
+                self.store.rename(named, name)
                 self.refresh()
-            case Keep(id, on) if run := self.store.get(id):
-                self.store.keep(run, on)
+            case Keep(id, on) if kept := self.store.get(id):
+                self.store.keep(kept, on)
                 self.refresh()
-            case Stop(id) if (run := self.store.get(id)) and run.job is not None:
-                run.job.cancel()
+            case Stop(id) if (stopped := self.store.get(id)) and stopped.job is not None:
+                stopped.job.cancel()
+            case Link(run, frame, layout):
+                self.reproduce(run, frame, layout)
             case Page(panels, width, height, canvas):
                 if (width, height) != self._page:
                     self._page = width, height
@@ -389,11 +431,12 @@ class Session:
                     self._visible = set(panels)
                     self.refresh()
 
-    def _background(self, work: Callable[[], None]) -> None:
-        """Do something slow in a thread, then draw again."""
+    def _background(self, work: Callable[[], object], then: Callable[[], object] = lambda: None) -> None:
+        """Do something slow in a thread, then the rest here, and draw again."""
 
         async def wait() -> None:
             await asyncio.to_thread(work)
+            then()
             self.refresh()
 
         task = asyncio.get_running_loop().create_task(wait())
@@ -448,6 +491,8 @@ class Session:
                 return
             self.shown = k
             ctx = self._context(run, k)
+            link = f"run={self.opened.id}&frame={k}&layout={self.layout.name}"
+            set_content(self._link, str(tag("i", hidden="hidden", data_link=link)))
             for panel in self.panels.values():
                 if panel.key in self._visible:
                     panel.render(ctx)
@@ -545,6 +590,16 @@ class Session:
             return PLAY_S[1]
         t_s = self._run.series.t_s
         return float(np.clip(t_s[self.want + 1] - t_s[self.want], *PLAY_S))
+
+
+def shown_first(panel: Panel, visible: set[str]) -> Panel:
+    """The panel with the tab that is open in front."""
+    return msgspec.structs.replace(panel, tabs=tuple(sorted(panel.tabs, key=lambda key: key not in visible)))
+
+
+def set_content(handle: viser.GuiHtmlHandle, content: str) -> None:
+    if handle.content != content:
+        handle.content = content
 
 
 def set_value(handle: Any, value: object) -> None:

@@ -234,7 +234,7 @@ def _window(ctx: PanelContext, window: WindowReport, solve: SolveReport | None) 
     for slot, frame in enumerate(window.frames.tolist()):
         sigma = solve.imu_sigma[slot - 1] if solve is not None and 0 < slot <= len(solve.imu_sigma) else None
         worst = float(np.max(sigma)) if sigma is not None else math.nan
-        here = frame == ctx.frame or (ctx.selection.kind == "frame" and ctx.selection.id == frame)
+        here = frame == ctx.frame or ctx.selection.is_frame(frame)
         cells = (
             slot,
             frame,

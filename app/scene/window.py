@@ -59,7 +59,7 @@ class WindowLayer:
             if node.visible != visible:
                 node.visible = visible
             if slot < n - 1 and window is not None:
-                picked = frame.selection.kind == "frame" and frame.selection.id == window.frames[slot]
+                picked = frame.selection.is_frame(int(window.frames[slot]))
                 _place(node, T_w_c[slot], scale, palette.SELECTION if picked else palette.ESTIMATE)
         if self._newest is not None:
             visible = self._on and n > 0

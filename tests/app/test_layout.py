@@ -22,11 +22,12 @@ def named(layout: Layout) -> str:
     return layout.name
 
 
-def test_the_three_layouts_come_with_hotkeys_in_order() -> None:
+def test_the_layouts_come_with_hotkeys_in_order() -> None:
     assert [(layout.name, layout.hotkey) for layout in LAYOUTS] == [
         ("default", "alt+1"),
         ("frontend", "alt+2"),
         ("init", "alt+3"),
+        ("compare", "alt+5"),
     ]
 
 
