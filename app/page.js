@@ -41,7 +41,7 @@
     const link = document.querySelector("[data-link]")?.dataset.link;
     if (!link || link === vi.linked) return;
     vi.linked = link;
-    const url = new URL(location.href);
+    const url = new window.URL(location.href);
     for (const [name, value] of new URLSearchParams(link)) url.searchParams.set(name, value);
     history.replaceState(history.state, "", url);
   };
