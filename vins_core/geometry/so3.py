@@ -102,6 +102,18 @@ def skew(v: np.ndarray) -> np.ndarray:
     return K
 
 
+def right_jacobian(d: np.ndarray) -> np.ndarray:
+    """J_r with Exp(d + e) = Exp(d) Exp(J_r e) to first order, (..., 3) -> (..., 3, 3)."""
+    K = skew(d)
+    angle2 = np.sum(np.square(d), -1)[..., None, None]
+    small = angle2 < 1e-6
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    a = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / safe)
+    b = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (angle - np.sin(angle)) / (safe * angle))
+    return np.eye(3) - a * K + b * (K @ K)
+
+
 def from_two_vectors(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The smallest rotation that turns direction a (3,) into direction b (3,)."""
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)

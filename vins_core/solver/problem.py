@@ -93,3 +93,23 @@ class WindowProblem:
 def retract_poses(x: np.ndarray, d: np.ndarray) -> np.ndarray:
     """(k, 7) [+] (k, 6)."""
     return np.concatenate([x[:, :3] + d[:, :3], so3.retract(x[:, 3:], d[:, 3:])], 1)
+
+
+def hold_oldest(states: States, pose: np.ndarray) -> States:
+    """`states` moved as a whole so that the oldest frame has position and yaw of `pose` (7,)  (REFERENCE O9).
+
+    The problem cannot see these four directions; the move is the rotation about gravity that undoes the twist of
+    the oldest frame, which unlike a difference of Euler angles exists for any attitude.
+    """
+    q_change = so3.multiply(pose[3:], so3.inverse(states.poses[0, 3:]))
+    twist = np.array([q_change[0], 0.0, 0.0, q_change[3]])
+    norm = np.linalg.norm(twist)
+    twist = twist / norm if norm > 1e-9 else np.array([1.0, 0.0, 0.0, 0.0])
+    p = pose[:3] + so3.rotate(twist, states.poses[:, :3] - states.poses[0, :3])
+    q = so3.normalize(so3.multiply(twist, states.poses[:, 3:]))
+    v = so3.rotate(twist, states.speed_biases[:, :3])
+    return replace(
+        states,
+        poses=np.concatenate([p, q], 1),
+        speed_biases=np.concatenate([v, states.speed_biases[:, 3:]], 1),
+    )

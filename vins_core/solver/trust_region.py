@@ -21,7 +21,7 @@ from ..report import CostSplit, IterationReport
 from .linearize import NormalEquations
 from .problem import States
 
-GAUGE_INFORMATION = 1e8
+GAUGE_INFORMATION = 1e12
 """Damping of position and yaw of the oldest frame, 1/m^2 and 1/rad^2."""
 
 

@@ -17,7 +17,7 @@ from ..geometry import so3
 from ..params import Params
 from ..report import SolveReport
 from ..solver.layout import Variable
-from ..solver.problem import PriorFactor, Projections, States, WindowProblem
+from ..solver.problem import PriorFactor, Projections, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
 from .state import OUTLIER, Landmarks, WindowFrame, WindowState
 
@@ -143,22 +143,11 @@ def _place_prior(window: WindowState) -> PriorFactor | None:
 
 
 def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowState:
-    """`window` with the solved states, moved so that yaw and position of the oldest frame stay (REFERENCE O9).
-
-    The problem cannot see these four directions; the move is the rotation about gravity that undoes the twist of
-    the oldest frame, which unlike a difference of Euler angles exists for any attitude.
-    """
-    before = assembly.problem.initial.poses[0]
-    q_change = so3.multiply(before[3:], so3.inverse(states.poses[0, 3:]))
-    twist = np.array([q_change[0], 0.0, 0.0, q_change[3]])
-    norm = np.linalg.norm(twist)
-    twist = twist / norm if norm > 1e-9 else np.array([1.0, 0.0, 0.0, 0.0])
-    p = before[:3] + so3.rotate(twist, states.poses[:, :3] - states.poses[0, :3])
-    q = so3.normalize(so3.multiply(twist, states.poses[:, 3:]))
-    v = so3.rotate(twist, states.speed_biases[:, :3])
+    """`window` with the solved states, moved so that yaw and position of the oldest frame stay (REFERENCE O9)."""
+    states = hold_oldest(states, assembly.problem.initial.poses[0])
     frames = tuple(
-        replace(f, p_w_b=p[k], q_w_b=q[k], v_w_b=v[k], b_a=states.speed_biases[k, 3:6], b_g=states.speed_biases[k, 6:])
-        for k, f in enumerate(window.frames)
+        replace(f, p_w_b=pose[:3], q_w_b=pose[3:], v_w_b=motion[:3], b_a=motion[3:6], b_g=motion[6:])
+        for f, pose, motion in zip(window.frames, states.poses, states.speed_biases)
     )
     table = window.landmarks
     inv_depth = table.inv_depth.copy()
