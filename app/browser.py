@@ -69,7 +69,7 @@ class Load(msgspec.Struct, tag_field="k", tag="load"):
 
 
 class Span(msgspec.Struct, tag_field="k", tag="span"):
-    n: int  # frames a fork computes; 0: to the end
+    frames: int  # that a fork computes; 0: to the end
 
 
 class Fork(msgspec.Struct, tag_field="k", tag="fork"):

@@ -400,8 +400,8 @@ class Session:
                 self.save_parameters()
             case Load(text, name):
                 self.load_parameters(text, name)
-            case Span(n):
-                self.fork_frames = max(n, 0)
+            case Span(frames):
+                self.fork_frames = max(frames, 0)
                 self.refresh()
             case Fork():
                 self.fork()

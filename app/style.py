@@ -54,9 +54,8 @@ _BASE = f"""
 """
 
 _TABS = """
-[role=tablist]:has(>:nth-child(5)) [role=tab],[role=tablist]:has([role=tab]:nth-of-type(5)) [role=tab]{
- padding-left:8px!important;padding-right:8px!important}
-[role=tablist]:has([role=tab]:nth-of-type(5)) [data-position=left]{display:none}
+[role=tablist]:has(>[role=tab]:nth-child(5))>[role=tab]{padding:0 .7em!important}
+[role=tablist]:has(>[role=tab]:nth-child(5))>[role=tab]>div:first-child:has(svg){display:none!important}
 """
 
 _CHIPS = f"""
