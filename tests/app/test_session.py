@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -44,7 +45,8 @@ def run_session(opened: OpenRun, body: Body) -> Session:
         session.close()
         return session
 
-    return asyncio.run(main())
+    with ThreadPoolExecutor(1) as thread:  # a browser test leaves an event loop in the main one
+        return thread.submit(asyncio.run, main()).result()
 
 
 async def settle(session: Session) -> None:
