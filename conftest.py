@@ -5,4 +5,4 @@ import os
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # before numpy is imported: two threads make a window solve ten times slower
 
-pytest_plugins = ["chromium"]
+pytest_plugins = ["chromium", "sample"]

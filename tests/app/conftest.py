@@ -1,10 +1,6 @@
 from pathlib import Path
 
 import pytest
-from chromium import browser, open_page, run_folder, serve, served_run
-from sample import sample_run
-
-__all__ = ["browser", "open_page", "run_folder", "sample_run", "serve", "served_run"]
 
 
 @pytest.fixture(autouse=True)

@@ -1,3 +1,0 @@
-from sample import sample_run
-
-__all__ = ["sample_run"]
