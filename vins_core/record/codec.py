@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from ..errors import RunError
+from ..errors import OutputError, RunError
 
 T = TypeVar("T")
 
@@ -33,6 +33,8 @@ _EXT_ARRAY = 1
 _REFERENCE = struct.Struct("<II")  # blobs back, index in that blob's table
 _SIZES = struct.Struct("<III")  # bytes of: the zlib stream, the directory in it, the integers in it
 _MAX_UNPACKED = 64 * 1024 * 1024
+MAX_DIRECTORY = 16 * 1024 * 1024
+"""Bytes of msgpack in a blob: objects made of them take up to eight times as much."""
 
 
 class _Spec(msgspec.Struct, array_like=True, frozen=True):
@@ -71,6 +73,8 @@ def pack_series(own: Mapping[str, Any], shared: Mapping[str, Any], ledger: Ledge
     encoded = {name: table.encode(value, own_only=True) for name, value in own.items()}
     encoded |= {name: table.encode(value, own_only=False) for name, value in shared.items()}
     directory = msgspec.msgpack.encode(_Directory(encoded, table.specs))
+    if len(directory) > MAX_DIRECTORY:
+        raise OutputError(f"{len(directory)} bytes of names and numbers are too many for one block of a record")
     integers, floats = (b"".join(pool) for pool in (table.integers, table.floats))
     packed = zlib.compress(_aligned(directory) + integers, 1)
     head = _SIZES.pack(len(packed), len(directory), len(integers)) + packed
@@ -136,21 +140,25 @@ class _Table:
 class Blob:
     """A blob that was read.  Arrays are read-only views into it; RunError where it contradicts itself."""
 
-    def __init__(self, data: bytes, where: str) -> None:
+    def __init__(self, data: bytes, where: str, max_directory: int = MAX_DIRECTORY) -> None:
         self._where = where
         if len(data) < _SIZES.size:
             raise self._damaged("is too short")
         packed, directory, integers = _SIZES.unpack_from(data)
+        if directory > max_directory:
+            raise self._damaged(f"announces a directory of {directory} bytes")
         end = _SIZES.size + packed
         inside = self._unpack(memoryview(data)[_SIZES.size : end], directory + -directory % ALIGNMENT + integers)
         table = self._decode(_Directory, inside[:directory], None)
         self._sections, self._arrays = table.sections, table.arrays
         self._integers = inside[len(inside) - integers :]
         self._floats = memoryview(data)[end + -end % ALIGNMENT :]
+        self.cost = len(data) + len(inside) + 8 * directory
+        """Bytes that it and what is decoded from it may occupy."""
 
     def _unpack(self, packed: memoryview, size: int) -> memoryview:
         if size > _MAX_UNPACKED:
-            raise self._damaged(f"announces a directory of {size} bytes")
+            raise self._damaged(f"announces {size} bytes of integers")
         try:
             inside = zlib.decompressobj().decompress(packed, size + 1)
         except zlib.error as problem:

@@ -6,6 +6,7 @@ import hashlib
 import importlib.metadata
 import platform
 import uuid
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -87,16 +88,12 @@ def to_json(header: RunHeader) -> bytes:
     plain = {k: v for k, v in vars(header).items() if k not in ("params", "calibration")}
     plain["params"] = {key: parameters.get(header.params, key) for key in parameters.DECLARATIONS}
     plain["calibration"] = _calibration_to_dict(header.calibration)
-    document = {"format": FORMAT, "schema": SCHEMA, **plain}
-    return msgspec.json.format(msgspec.json.encode(document, order="deterministic"), indent=1)
+    return seal({"format": FORMAT, "schema": SCHEMA, **plain})
 
 
 def from_json(data: bytes, where: str) -> RunHeader:
-    """Raises RunError, naming the file, when the header is not one of ours or from a later format."""
-    try:
-        document = msgspec.json.decode(data, type=dict[str, Any])
-    except (msgspec.MsgspecError, RecursionError, ValueError) as problem:
-        raise RunError(f"{where} is not the header of a run: {problem}") from None
+    """Raises RunError, naming the file, when the header is damaged, not one of ours or from a later format."""
+    document = _decode(data, where)
     if document.get("format") != FORMAT:
         raise RunError(f"{where} is not the header of a run: expected format {FORMAT!r}")
     if document.get("schema") != SCHEMA:
@@ -106,11 +103,35 @@ def from_json(data: bytes, where: str) -> RunHeader:
         )
     document = {"id": hashlib.sha256(data).hexdigest()[:12]} | document  # the first records had none
     try:
-        return _build(RunHeader, document, params=_params_from_dict, calibration=_calibration_from_dict)
+        header = _build(RunHeader, document, params=_params_from_dict, calibration=_calibration_from_dict)
     except ParameterError as problem:
         raise RunError(f"{where} was written by another version: {problem}") from None
     except (msgspec.MsgspecError, VinspectError, KeyError, TypeError, ValueError) as problem:
         raise RunError(f"{where} is damaged: {problem}") from None
+    unseal(data, where)
+    return header
+
+
+def seal(document: Mapping[str, Any]) -> bytes:
+    """JSON for people, with a checksum of its content by which damage is told."""
+    checksum = zlib.crc32(msgspec.json.encode(document, order="deterministic"))
+    return msgspec.json.format(msgspec.json.encode({**document, "checksum": checksum}, order="deterministic"), indent=1)
+
+
+def unseal(data: bytes, where: str) -> dict[str, Any]:
+    """What was sealed; RunError when it is not what was written.  The first records had no checksum."""
+    document = _decode(data, where)
+    checksum = document.pop("checksum", None)
+    if checksum not in (None, zlib.crc32(msgspec.json.encode(document, order="deterministic"))):
+        raise RunError(f"{where} was changed after it was written: its checksum does not match")
+    return document
+
+
+def _decode(data: bytes, where: str) -> dict[str, Any]:
+    try:
+        return msgspec.json.decode(data, type=dict[str, Any])
+    except (msgspec.MsgspecError, RecursionError, ValueError) as problem:
+        raise RunError(f"{where} is not the header of a run: {problem}") from None
 
 
 T = TypeVar("T")

@@ -1,7 +1,7 @@
 """A run on disk: a folder that only ever grows, readable while it is written and after a crash (SPEC 9.1).
 
     header.json   how the run came about
-    truth.bin     ground truth of the recording, when it has one
+    truth.log     ground truth of the recording, when it has one
     frames.log    a block a frame: report, timings, packet, and the state after it (HOUSE, "Time travel")
     index.log     a block a frame: where it lies in frames.log, and its summary; made again when missing or damaged
     images.log    with --embed-images: the images of each frame, losslessly
@@ -15,7 +15,6 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +29,7 @@ from . import header as headers
 from .codec import Blob, Ledger, pack, pack_series
 from .header import RunHeader
 from .log import Block, LogReader, LogWriter
+from .recent import MAX_BYTES, Recent
 
 if TYPE_CHECKING:
     from ..pipeline import RunState
@@ -41,12 +41,15 @@ except ImportError:  # not on this system: a run that was killed looks like one 
 
 HEADER, TRUTH, FRAMES, INDEX, IMAGES, END = (
     "header.json",
-    "truth.bin",
+    "truth.log",
     "frames.log",
     "index.log",
     "images.log",
     "end.json",
 )
+KEEP_STATES = 4
+MAX_INDEX_DIRECTORY = 64 * 1024
+MAX_IMAGE_PIXELS = 2**26
 FINISHED, INTERRUPTED = "finished", "interrupted"
 
 
@@ -82,7 +85,9 @@ class RunWriter:
             with contextlib.suppress(OSError):  # some network folders cannot lock
                 fcntl.flock(self._frames.fileno(), fcntl.LOCK_EX)
         if truth is not None:
-            self._write(TRUTH, pack({"truth": truth}))
+            log = LogWriter(self.path / TRUTH)
+            log.append(pack({"truth": truth}))
+            log.close()
         self._write(HEADER, headers.to_json(header))  # last: a folder with a header can be opened
 
     def adopt(self, other: RunReader, frames: int) -> None:
@@ -122,7 +127,7 @@ class RunWriter:
         for log in (self._frames, self._index, self._image_log):
             if log:
                 log.close()
-        self._write(END, msgspec.json.encode(_End(outcome, len(self))))
+        self._write(END, headers.seal({"outcome": outcome, "frames": len(self)}))
 
     def __enter__(self) -> RunWriter:
         return self
@@ -176,9 +181,9 @@ class RunReader:
         self._images = LogReader(self.path / IMAGES) if (self.path / IMAGES).is_file() else None
         self._truth: Trajectory | None = None
         self._refreshing = threading.Lock()
-        self._blob = lru_cache(keep)(self._read_blob)
-        self.report = lru_cache(keep)(self._read_report)
-        self.state = lru_cache(min(keep, 8))(self._read_state)
+        self._blob = Recent(self._read_blob, keep)
+        self._reports = Recent(self._read_report, keep)
+        self._states = Recent(self._read_state, min(keep, KEEP_STATES))
         self.refresh()
 
     def __len__(self) -> int:
@@ -219,18 +224,20 @@ class RunReader:
     @property
     def truth(self) -> Trajectory | None:
         if self._truth is None and (self.path / TRUTH).is_file():
-            try:
-                data = (self.path / TRUTH).read_bytes()
-            except OSError as problem:
-                raise RunError(f"cannot read {self.path / TRUTH}: {problem.strerror}") from None
-            self._truth = Blob(data, str(self.path / TRUTH)).get("truth", Trajectory)
+            log = LogReader(self.path / TRUTH)
+            payload = next((payload for _, payload in log.scan(0)), None)
+            log.close()
+            if payload is None:
+                raise RunError(f"{self.path / TRUTH} is damaged: its checksum does not match")
+            self._truth = Blob(payload, str(self.path / TRUTH)).get("truth", Trajectory)
         return self._truth
 
     def summary(self, k: int) -> FrameSummary:
         return self.summaries[self._number(k)]
 
-    def _read_report(self, k: int) -> FrameReport:
-        return self._blob(self._number(k)).get("report", FrameReport)
+    def report(self, k: int) -> FrameReport:
+        """All that frame k said."""
+        return self._reports(self._number(k))
 
     def timings(self, k: int) -> Timings:
         return self.summary(k).ms
@@ -239,11 +246,9 @@ class RunReader:
         """What arrived for frame k."""
         return self._section(k, "packet", Packet)
 
-    def _read_state(self, k: int) -> RunState:
+    def state(self, k: int) -> RunState:
         """The state after frame k, bit for bit."""
-        from ..pipeline import RunState  # not needed to look at a run, and costs CasADi
-
-        return self._section(k, "state", RunState)
+        return self._states(self._number(k))
 
     @property
     def has_images(self) -> bool:
@@ -294,13 +299,35 @@ class RunReader:
         return k
 
     def _section(self, k: int, name: str, kind: Any) -> Any:
+        return self._holding(k, name).get(name, kind)
+
+    def _holding(self, k: int, name: str) -> Blob:
         blob = self._blob(self._number(k))
         if name not in blob:
             raise RunError(f"frame {k} of {self.path} was recorded without its {name}")
-        return blob.get(name, kind, lambda back: self._blob(self._number(k - back)))
+        return blob
 
-    def _read_blob(self, k: int) -> Blob:
-        return Blob(self._frames.read(self._blocks[k]), f"frame {k} of {self.path / FRAMES}")
+    def _read_blob(self, k: int) -> tuple[Blob, int]:
+        blob = Blob(self._frames.read(self._blocks[k]), f"frame {k} of {self.path / FRAMES}")
+        return blob, blob.cost
+
+    def _read_report(self, k: int) -> tuple[FrameReport, int]:
+        blob = self._blob(k)
+        return blob.get("report", FrameReport), blob.cost
+
+    def _read_state(self, k: int) -> tuple[RunState, int]:
+        from ..pipeline import RunState  # not needed to look at a run, and costs CasADi
+
+        blobs = {0: self._holding(k, "state")}
+
+        def earlier(back: int) -> Blob:
+            if back not in blobs:
+                blobs[back] = self._blob(self._number(k - back))
+                if sum(blob.cost for blob in blobs.values()) > MAX_BYTES:
+                    raise RunError(f"the state of frame {k} of {self.path} refers to more than a state can hold")
+            return blobs[back]
+
+        return blobs[0].get("state", RunState, earlier), sum(blob.cost for blob in blobs.values())
 
     def _follow_index(self) -> None:
         """Take new index entries, as long as they are whole and frames.log holds what they promise."""
@@ -311,7 +338,7 @@ class RunReader:
         size = self._frames.size()
         for entry, payload in self._index.scan(self._index_end):
             try:
-                blob = Blob(payload, str(self.path / INDEX))
+                blob = Blob(payload, str(self.path / INDEX), MAX_INDEX_DIRECTORY)
                 block, summary = blob.get("block", Block), blob.get("summary", FrameSummary)
             except RunError:
                 return
@@ -336,8 +363,8 @@ class RunReader:
 
     def _end(self) -> _End | None:
         try:
-            return msgspec.json.decode(self._small_file(END), type=_End)
-        except (RunError, msgspec.MsgspecError, UnicodeDecodeError):
+            return msgspec.convert(headers.unseal(self._small_file(END), END), _End)
+        except (RunError, msgspec.MsgspecError):
             return None
 
     def _small_file(self, name: str) -> bytes:
@@ -360,7 +387,7 @@ def _decode(png: bytes, shape: tuple[int, int], where: str) -> np.ndarray:
     import cv2
 
     width, height = int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")  # of the IHDR chunk
-    if (height, width) != shape:  # told before a forged size takes memory
+    if (height, width) != shape or height * width > MAX_IMAGE_PIXELS:  # told before a forged size takes memory
         raise RunError(f"{where} holds an image of {width}x{height} where {shape[1]}x{shape[0]} is calibrated")
     image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
