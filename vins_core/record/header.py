@@ -114,17 +114,21 @@ def from_json(data: bytes, where: str) -> RunHeader:
 
 def seal(document: Mapping[str, Any]) -> bytes:
     """JSON for people, with a checksum of its content by which damage is told."""
-    checksum = zlib.crc32(msgspec.json.encode(document, order="deterministic"))
-    return msgspec.json.format(msgspec.json.encode({**document, "checksum": checksum}, order="deterministic"), indent=1)
+    plain = msgspec.json.decode(msgspec.json.encode(document))
+    return msgspec.json.format(msgspec.json.encode(plain | {"checksum": _checksum(plain)}, order="sorted"), indent=1)
 
 
 def unseal(data: bytes, where: str) -> dict[str, Any]:
     """What was sealed; RunError when it is not what was written.  The first records had no checksum."""
     document = _decode(data, where)
     checksum = document.pop("checksum", None)
-    if checksum not in (None, zlib.crc32(msgspec.json.encode(document, order="deterministic"))):
+    if checksum not in (None, _checksum(document)):
         raise RunError(f"{where} was changed after it was written: its checksum does not match")
     return document
+
+
+def _checksum(document: dict[str, Any]) -> int:
+    return zlib.crc32(msgspec.json.encode(document, order="sorted"))
 
 
 def _decode(data: bytes, where: str) -> dict[str, Any]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import pickle
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -12,10 +14,21 @@ import pytest
 import record_samples as samples
 
 from vins_core.errors import RunError
-from vins_core.record.codec import pack
+from vins_core.record.codec import _SIZES, MAX_DIRECTORY, Blob, pack
 from vins_core.record.header import to_json
-from vins_core.record.log import _HEAD, _MAGIC
-from vins_core.record.recording import END, FRAMES, HEADER, IMAGES, INDEX, TRUTH, RunReader, RunWriter
+from vins_core.record.log import _HEAD, _MAGIC, LogWriter
+from vins_core.record.recent import Recent
+from vins_core.record.recording import (
+    END,
+    FRAMES,
+    HEADER,
+    IMAGES,
+    INDEX,
+    MAX_INDEX_DIRECTORY,
+    TRUTH,
+    RunReader,
+    RunWriter,
+)
 from vins_core.sensors import ImageRef
 
 NAMES = (FRAMES, INDEX, IMAGES, TRUTH, HEADER, END)
@@ -158,3 +171,87 @@ def test_a_thousand_accidents_are_told_or_do_no_harm(run: Path) -> None:
 @pytest.mark.slow
 def test_a_thousand_forgeries_never_crash_the_reader(run: Path) -> None:
     forged(run, range(1000, 2000))
+
+
+def bomb(directory: int, integers: int = 0) -> bytes:
+    """A small blob that unpacks to much."""
+    packed = zlib.compress(bytes(directory + integers), 9)
+    return _SIZES.pack(len(packed), directory, integers) + packed
+
+
+@pytest.mark.parametrize("sizes", [(MAX_DIRECTORY + 1, 0), (16, 2**26)])
+def test_a_bomb_is_refused_before_it_goes_off(sizes: tuple[int, int]) -> None:
+    blob = bomb(*sizes)
+    assert len(blob) < 100_000
+    tracemalloc.start()
+    with pytest.raises(RunError, match=r"somewhere announces .* bytes"):
+        Blob(blob, "somewhere")
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    tracemalloc.stop()
+
+
+def test_bombs_in_the_index_cost_nothing(run: Path) -> None:
+    whole, original = readings(run), (run / INDEX).read_bytes()
+    (run / INDEX).unlink()
+    log = LogWriter(run / INDEX)
+    for _ in range(50):
+        log.append(bomb(MAX_INDEX_DIRECTORY + 1))
+    log.close()
+    try:
+        assert readings(run) == whole
+    finally:
+        (run / INDEX).write_bytes(original)
+
+
+def test_a_state_cannot_gather_more_than_memory_holds(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vins_core.record.recording.MAX_BYTES", 300_000)
+    with pytest.raises(RunError, match="refers to more than a state can hold"):
+        RunReader(run).state(N_FRAMES - 1)
+
+
+def test_what_is_kept_is_bounded_in_number_and_in_bytes() -> None:
+    made: list[int] = []
+
+    def make(k: int) -> tuple[str, int]:
+        made.append(k)
+        return str(k), k
+
+    few = Recent(make, keep=3, max_bytes=100)
+    assert [few(k) for k in (1, 2, 3, 1, 2, 3)] == ["1", "2", "3"] * 2 and made == [1, 2, 3]
+    few(4)
+    few(1)  # had to go for 4
+    assert made == [1, 2, 3, 4, 1]
+    few(95)  # pushes out all but what fits beside it
+    few(4)
+    assert made == [1, 2, 3, 4, 1, 95] and few(1) == "1" and made[-1] == 95
+    few(1000)  # too large to keep at all
+    few(1000)
+    assert made[-2:] == [1000, 1000]
+
+
+class Evil:
+    """A pickle of it creates a file when it is loaded."""
+
+    def __init__(self, witness: Path) -> None:
+        self.witness = witness
+
+    def __reduce__(self) -> tuple[Callable[..., None], tuple[Path]]:
+        return Path.touch, (self.witness,)
+
+
+def test_a_hostile_record_executes_nothing(run: Path, tmp_path: Path) -> None:
+    witness = tmp_path / "witness"
+    evil = pickle.dumps(Evil(witness))
+    pickle.loads(evil)
+    assert witness.exists()  # it would work
+    witness.unlink()
+    for name in NAMES:
+        original = (run / name).read_bytes()
+        log = b"".join(_HEAD.pack(_MAGIC, len(evil), zlib.crc32(evil), 0) + evil for _ in range(2))
+        for content in (evil, log):
+            (run / name).write_bytes(content)
+            try:
+                readings(run)
+            finally:
+                (run / name).write_bytes(original)
+    assert not witness.exists()
