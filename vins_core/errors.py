@@ -26,5 +26,9 @@ class OutputError(VinspectError):
     """A file or folder cannot be written."""
 
 
+class BackendError(VinspectError):
+    """A back end was asked for that this machine cannot offer."""
+
+
 class RunError(VinspectError):
     """A run record is missing, damaged beyond its last frame, or written by an incompatible version."""

@@ -18,13 +18,12 @@ from .process import prepare
 from .record.header import RunHeader
 from .record.recording import RunWriter
 from .record.replay import Progress, Result, estimate
+from .solver import backend as backends
+from .solver.backend import Wish
 
-__all__ = ["BACKEND", "Progress", "Result", "choose_parameters", "run_recording"]
+__all__ = ["Progress", "Result", "choose_parameters", "run_recording"]
 
 PathLike = str | Path
-
-BACKEND = "numpy-tape"
-"""What evaluates the factors: their CasADi expressions, replayed as NumPy operations over all factors at once."""
 
 
 def run_recording(
@@ -37,17 +36,20 @@ def run_recording(
     start_s: float = 0.0,
     duration_s: float | None = None,
     embed_images: bool = False,
+    backend: Wish = "auto",
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Result:
     """Estimate a recording into the new run folder `out`.
 
     `settings` are `section.name=value` and win over those of `params_file` (see io/params_yaml.py), which win over the
-    tuning keys of the calibration files.  `start_s` and `duration_s` count from the first image.  `cancelled` is asked
-    after each frame.  However it ends, what was written can be read.
+    tuning keys of the calibration files.  `start_s` and `duration_s` count from the first image.  `backend`: which
+    code evaluates the factors, with the same results (solver/backend.py).  `cancelled` is asked after each frame.
+    However it ends, what was written can be read.
     Raises VinspectError, before `out` is touched when the input is at fault.
     """
     prepare()
+    chosen = backends.choose(backend)
     assignments = dict(parameters.parse_assignment(text) for text in settings)
     parameters.replace(Params(), assignments)  # a wrong one is told before anything is read
     from_file = read_params(params_file) if params_file is not None else {}
@@ -66,11 +68,11 @@ def run_recording(
             start_s=start_s,
             duration_s=duration_s,
             expected_frames=_expect_frames(source, params, start_s, duration_s),
-            backend=BACKEND,
+            backend=chosen.name,
             embedded_images=embed_images,
             notes=given.notes,
         )
-        with RunWriter(out, header, source.truth(), source) as writer:
+        with backends.using(chosen), RunWriter(out, header, source.truth(), source) as writer:
             arriving = itertools.chain([first], arriving)
             return estimate(writer, header, source, start(given.calibration), arriving, progress, cancelled)
 

@@ -15,10 +15,11 @@ from .geometry import so3
 from .params import Params
 from .pipeline import advance, step
 from .record.compare import Difference, differing_decision
-from .record.fork import recorded_images, require_backend, state_before
+from .record.fork import recorded_images, state_before
 from .record.recording import RunReader
 from .report import CostSplit, FrameReport, Timings, TrackReport
 from .sensors import ImageSource
+from .solver import backend
 from .window.state import Observations
 
 
@@ -46,19 +47,20 @@ def resolve(
 
     `images` are needed only to run the front end again; by default those that the run refers to.
     With the parameters of the run, `after` equals `before` bit for bit.
-    Raises RunError when the frame cannot be restored.
+    Raises RunError when the frame cannot be restored, or the back end of the run is not available.
     """
     header = run.header
-    require_backend(header)
-    state, packet, before = state_before(run, k), run.packet(k), run.report(k)
-    if not rerun_frontend:
-        tracked = recorded_tracks(run, k, params)
-        _, after, ms = advance(params, header.calibration, state, packet, tracked, {})
-    elif images is not None:
-        _, after, ms = step(params, header.calibration, images, state, packet)
-    else:
+    if rerun_frontend and images is None:
         with recorded_images(run) as source:
             return resolve(run, k, params, source, rerun_frontend=True)
+    state, packet, before = state_before(run, k), run.packet(k), run.report(k)
+    with backend.using(backend.recorded(header.backend)):
+        if rerun_frontend:
+            assert images is not None
+            _, after, ms = step(params, header.calibration, images, state, packet)
+        else:
+            tracked = recorded_tracks(run, k, params)
+            _, after, ms = advance(params, header.calibration, state, packet, tracked, {})
     return WhatIf(before, after, header.params, params, ms, rerun_frontend)
 
 

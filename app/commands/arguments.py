@@ -43,6 +43,14 @@ Settings = Annotated[
         + "\n",
     ),
 ]
+BackendWish = Annotated[
+    Literal["auto", "numpy", "c"],
+    arg(
+        name="backend",
+        help="what evaluates the factors; every choice gives the same bits. auto: compiled C when it is ready, else "
+        "NumPy (while C is compiled in the background for the next run); a fork takes what its run took",
+    ),
+]
 ParamsFile = Annotated[
     Path | None,
     arg(

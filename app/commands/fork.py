@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from .arguments import ParamsFile, Run, Settings
+from .arguments import BackendWish, ParamsFile, Run, Settings
 from .console import note, progress_bar
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ def fork(
     at: Annotated[int, arg(metavar="FRAME", help="the first frame computed with the changed parameters; from 0")],
     out: Annotated[Path, arg(metavar="RUN2", help="folder for the fork; must not exist or be empty")],
     frames: Annotated[int | None, arg(metavar="N", help="how many frames; to the end of RUN by default")] = None,
+    backend: BackendWish = "auto",
     params: ParamsFile = None,
     settings: Settings = (),
 ) -> None:
@@ -38,7 +39,7 @@ def fork(
             report((done - at) / max((now.expected or done) - at, 1), f"frame {done}, {now.poses} poses")
 
         try:
-            result = fork(reader, at, out, changes, frames, progress=progress)
+            result = fork(reader, at, out, changes, frames, backend=backend, progress=progress)
         except KeyboardInterrupt:
             note(f"{out} holds the {done} frames so far")
             raise

@@ -18,14 +18,16 @@ def info(recording: Recording, /, json: Json = False) -> None:
     from vins_core.io.inspect import inspect
     from vins_core.io.recording import open_recording
     from vins_core.record.header import cpu_model, package_versions
-    from vins_core.runner import BACKEND
+    from vins_core.solver.backend import describe
 
     with open_recording(recording) as source, progress_bar(f"reading {recording.name}") as report:
         found = inspect(source, report)
+    backend, why = describe()
     if json:
-        print_json(found.to_dict() | {"backend": BACKEND, "cpu": cpu_model(), "versions": package_versions()})
+        machine = {"backend": backend, "backend_note": why, "cpu": cpu_model(), "versions": package_versions()}
+        print_json(found.to_dict() | machine)
     else:
-        _print(found, f"{BACKEND} on {cpu_model()}")
+        _print(found, f"{backend} ({why}) on {cpu_model()}")
 
 
 def _print(found: RecordingInfo, backend: str) -> None:
@@ -55,7 +57,7 @@ def _print(found: RecordingInfo, backend: str) -> None:
         console.print(f"  {anomaly.kind}: {escape(anomaly.message)}", highlight=False, soft_wrap=True)
     if total > SHOWN:
         console.print(f"  and {total - SHOWN} more; see --json", highlight=False)
-    console.print(f"back end: {backend}", highlight=False)
+    console.print(f"back end: {escape(backend)}", highlight=False, soft_wrap=True)
 
 
 def _number(value: float | None, digits: int) -> str:

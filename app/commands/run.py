@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from .arguments import Calibrations, ParamsFile, Recording, Settings
+from .arguments import BackendWish, Calibrations, ParamsFile, Recording, Settings
 from .console import note, progress_bar
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def run(
     start: Annotated[float, arg(metavar="S", help="seconds after the first image")] = 0.0,
     duration: Annotated[float | None, arg(metavar="S", help="seconds from there on; to the end by default")] = None,
     embed_images: Annotated[bool, arg(help="store the images in the run, for sharing it")] = False,
+    backend: BackendWish = "auto",
     params: ParamsFile = None,
     settings: Settings = (),
 ) -> None:
@@ -46,6 +47,7 @@ def run(
                 start_s=start,
                 duration_s=duration,
                 embed_images=embed_images,
+                backend=backend,
                 progress=progress,
             )
         except KeyboardInterrupt:

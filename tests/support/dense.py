@@ -8,6 +8,7 @@ from vins_core.solver.layout import Variable
 from vins_core.solver.levenberg_marquardt import gauge_damping
 from vins_core.solver.linearize import Linearizer
 from vins_core.solver.problem import WindowProblem
+from vins_core.solver.visual_rows import NumpyRows
 
 
 def jacobian(problem: WindowProblem) -> tuple[np.ndarray, np.ndarray, Linearizer]:
@@ -28,8 +29,8 @@ def jacobian(problem: WindowProblem) -> tuple[np.ndarray, np.ndarray, Linearizer
         for r_k, J_k, columns in zip(*linearizer.inertial.rows(states), linearizer.inertial.columns):
             add(r_k, J_k, columns)
     if visual := linearizer.visual:
-        system, *_ = visual.rows(states)
-        columns = np.column_stack([visual.columns[visual.pair], D + visual.table.landmark])
+        system, *_ = NumpyRows(visual.index).system(states)
+        columns = np.column_stack([visual.columns[visual.pair], D + visual.index.table.landmark])
         for row in range(2):
             add(system[-1, row].copy(), system[:-1, row].T, columns)
     return np.concatenate(J), np.concatenate(r), linearizer

@@ -24,6 +24,8 @@ from ..params import Params
 from ..pipeline import RunState, start
 from ..process import prepare
 from ..sensors import ImageSource, Packet
+from ..solver import backend as backends
+from ..solver.backend import Wish
 from .header import Parent, RunHeader, cpu_model, package_versions
 from .recording import RunReader, RunWriter
 from .regroup import regroup
@@ -37,6 +39,7 @@ def fork(
     changes: Mapping[str, Any],
     frames: int | None = None,
     images: ImageSource | None = None,
+    backend: Wish = "auto",
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Result:
@@ -44,26 +47,30 @@ def fork(
 
     Computes `frames` frames, by default up to the last one that `run` holds.  Without changes the fork equals the
     run bit for bit where versions and processor are the same; the notes of the result say where they are not.
-    `images`: where pixels come from, by default the record or the recording it names.
+    `images`: where pixels come from, by default the record or the recording it names.  `backend`: "auto" is that of
+    the run; the others give the same bits (solver/backend.py).
     Raises before `out` is touched: ParameterError, RunError for a frame that is not there or a back end that is not
     available, RecordingError when the images cannot be opened.
     """
     prepare()
-    params = check(run, at, changes, frames)
+    params = check(run, at, changes, frames, backend)
+    chosen = backends.recorded(run.header.backend, backend)
     state, packets = state_before(run, at), islice(_packets(run, at, params), frames)
-    header = _header(run, at, params, _expect(run, at, params, frames))
+    header = _header(run, at, params, _expect(run, at, params, frames), chosen.name)
     with contextlib.ExitStack() as opened:
         source = images if images is not None else opened.enter_context(recorded_images(run))
-        with RunWriter(out, header, run.truth, source) as writer:
+        with backends.using(chosen), RunWriter(out, header, run.truth, source) as writer:
             writer.adopt(run, at)
             poses = sum(s.pose is not None for s in run.summaries[:at])
             return estimate(writer, header, source, state, packets, progress, cancelled, poses)
 
 
-def check(run: RunReader, at: int, changes: Mapping[str, Any], frames: int | None = None) -> Params:
+def check(
+    run: RunReader, at: int, changes: Mapping[str, Any], frames: int | None = None, backend: Wish = "auto"
+) -> Params:
     """The parameters of a fork; raises what `fork` would raise at once."""
     params = parameters.replace(run.header.params, changes)
-    require_backend(run.header)
+    backends.recorded(run.header.backend, backend)
     if not 0 <= at < len(run):
         raise RunError(f"{run.path} has no frame {at} to fork at; it holds frames 0 to {len(run) - 1}")
     if frames is not None and frames < 1:
@@ -75,17 +82,6 @@ def check(run: RunReader, at: int, changes: Mapping[str, Any], frames: int | Non
 def state_before(run: RunReader, k: int) -> RunState:
     """The state that frame k of a run was computed from."""
     return start(run.header.calibration) if k == 0 else run.state(k - 1)
-
-
-def require_backend(header: RunHeader) -> None:
-    """RunError unless this installation evaluates factors as the run did: only then are replays bit-equal."""
-    from ..runner import BACKEND
-
-    if header.backend not in ("", BACKEND):
-        raise RunError(
-            f"the run was computed by the back end {header.backend!r}, which is not available here ({BACKEND!r} is); "
-            "replay it where it was made, or run the recording again"
-        )
 
 
 @contextlib.contextmanager
@@ -113,7 +109,7 @@ def _expect(run: RunReader, at: int, params: Params, frames: int | None) -> int:
     return at + (left if frames is None else min(frames, left))
 
 
-def _header(run: RunReader, at: int, params: Params, end: int) -> RunHeader:
+def _header(run: RunReader, at: int, params: Params, end: int, backend: str) -> RunHeader:
     before, changed = run.header, parameters.changed(params, run.header.params)
     versions, cpu = package_versions(), cpu_model()
     notes = [f"{what} was {a or 'unknown'} and is {b}" for what, a, b in _other_machine(before, versions, cpu)]
@@ -122,6 +118,7 @@ def _header(run: RunReader, at: int, params: Params, end: int) -> RunHeader:
         params=params,
         origins={**before.origins, **dict.fromkeys(changed, "fork")},
         expected_frames=end,
+        backend=backend,
         embedded_images=run.has_images,
         parent=Parent(before.id, str(run.path.resolve()), at, changed),
         notes=tuple(f"the fork may differ in its last digits: {note}" for note in notes),

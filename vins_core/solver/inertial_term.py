@@ -23,19 +23,22 @@ class InertialTerm:
 
     def rows(self, states: States) -> tuple[np.ndarray, np.ndarray]:
         """Whitened residuals (K, 15) and Jacobians (K, 15, 30)."""
+        whitened = self._evaluate(states)
+        return whitened[:, :, -1], whitened[:, :, :-1]
+
+    def linearize(self, states: States, products: np.ndarray) -> tuple[float, np.ndarray]:
+        """Fills [J r]' [J r] of every factor, (K, 31, 31); returns cost and whitened residuals (K, 15)."""
+        whitened = self._evaluate(states)
+        np.matmul(whitened.transpose(0, 2, 1), whitened, products)
+        r = whitened[:, :, -1]
+        return 0.5 * float(np.vdot(r, r)), r
+
+    def _evaluate(self, states: States) -> np.ndarray:
+        """[J r], whitened, (K, 15, 31)."""
         batch, first = self._batch, self._first
         batch.inputs[0].T[:] = states.poses[first]
         batch.inputs[1].T[:] = states.speed_biases[first]
         batch.inputs[2].T[:] = states.poses[first + 1]
         batch.inputs[3].T[:] = states.speed_biases[first + 1]
         batch.evaluate()
-        whitened = self._whitening @ batch.system.transpose(2, 1, 0)
-        return whitened[:, :, -1], whitened[:, :, :-1]
-
-    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> tuple[float, np.ndarray]:
-        """Fills J'J (K, 30, 30) and J'r (K, 30) of every factor; returns cost and whitened residuals (K, 15)."""
-        r, J = self.rows(states)
-        J_t = J.transpose(0, 2, 1)
-        np.matmul(J_t, J, JtJ)
-        np.matmul(J_t, r[:, :, None], Jtr[:, :, None])
-        return 0.5 * float(np.vdot(r, r)), r
+        return self._whitening @ batch.system.transpose(2, 1, 0)

@@ -3,7 +3,8 @@
     [ H   W' ] [ dc ]     [ g   ]        c: cameras, dense        (D columns, see layout.py)
     [ W   h  ] [ dl ] = - [ g_l ]        l: inverse depths, diagonal
 
-Every term yields dense blocks J'J and J'r on given columns; one scatter-add makes H and g of all of them.
+Every term yields dense blocks [J r]' [J r] on given columns, r being one column more; one scatter-add makes H and g
+of all of them.
 """
 
 from __future__ import annotations
@@ -63,11 +64,11 @@ class Linearizer:
         r_visual, r_imu, r_prior = np.zeros((2, 0)), np.zeros((0, 15)), np.zeros(0)
         blocks = iter(self._scatter.blocks)
         if self.visual:
-            visual, r_visual, landmarks = self.visual.linearize(states, *next(blocks))
+            visual, r_visual, landmarks = self.visual.linearize(states, next(blocks))
         if self.inertial:
-            inertial, r_imu = self.inertial.linearize(states, *next(blocks))
+            inertial, r_imu = self.inertial.linearize(states, next(blocks))
         if self.prior:
-            prior, r_prior = self.prior.linearize(states, *next(blocks))
+            prior, r_prior = self.prior.linearize(states, next(blocks))
         H, g = self._scatter.add()
         return NormalEquations(
             CostSplit(visual, inertial, prior), H, g, *landmarks, Residuals(r_visual, r_imu, r_prior)
@@ -96,22 +97,15 @@ class _Scatter:
 
     def __init__(self, terms: list[_Term], size: int):
         self._size = size
-        columns = [t.columns for t in terms]
-        self._in_H = _join([(c[:, :, None] * size + c[:, None, :]).reshape(-1) for c in columns])
-        self._in_g = _join([c.reshape(-1) for c in columns])
-        self._JtJ, self._Jtr = np.zeros(len(self._in_H)), np.zeros(len(self._in_g))
-        self.blocks = []  # per term: J'J (blocks, k, k) and J'r (blocks, k) to be filled
-        a = b = 0
-        for blocks, k in (c.shape for c in columns):
-            JtJ = self._JtJ[a : (a := a + blocks * k * k)].reshape(blocks, k, k)
-            Jtr = self._Jtr[b : (b := b + blocks * k)].reshape(blocks, k)
-            self.blocks.append((JtJ, Jtr))
+        columns = [np.insert(t.columns, t.columns.shape[1], size, 1) for t in terms]  # the last one is r
+        places = [(c[:, :, None] * (size + 1) + c[:, None, :]).reshape(-1) for c in columns]
+        self._place = np.concatenate(places) if places else np.zeros(0, np.int64)
+        self._entries = np.zeros(len(self._place))
+        parts = np.split(self._entries, np.cumsum([len(p) for p in places])[:-1])
+        self.blocks = [part.reshape(*c.shape, -1) for part, c in zip(parts, columns)]
+        """Per term: [J r]' [J r] of each of its blocks (blocks, k + 1, k + 1), to be filled."""
 
     def add(self) -> tuple[np.ndarray, np.ndarray]:
-        size = self._size
-        H = np.bincount(self._in_H, self._JtJ, size * size).reshape(size, size)
-        return H, np.bincount(self._in_g, self._Jtr, size)
-
-
-def _join(parts: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+        n = self._size + 1
+        H = np.bincount(self._place, self._entries, n * n).reshape(n, n)
+        return H[:-1, :-1], H[:-1, -1]

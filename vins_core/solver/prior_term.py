@@ -27,27 +27,38 @@ class PriorTerm:
         self._x0_speeds = np.array([factor.x0[k] for k in speeds]).reshape(-1, 9)
         self._pose_columns = starts[poses][:, None] + np.arange(6)
         self._speed_columns = starts[speeds][:, None] + np.arange(9)
-        self._J_theta = factor.J[:, self._pose_columns[:, 3:]].transpose(1, 0, 2)  # (poses, n, 3)
 
-        free = [layout.is_free(b) for b in blocks]
-        self._free = np.flatnonzero(np.repeat(free, [b.size for b in blocks]))
+        # only the columns of rotations change with the states
+        free = np.repeat([layout.is_free(b) for b in blocks], [b.size for b in blocks])
+        self._turning = np.flatnonzero(free[self._pose_columns[:, 3]])
+        theta = self._pose_columns[self._turning, 3:]
+        self._J_theta = factor.J[:, theta].transpose(1, 0, 2)  # (turning, n, 3)
+        self._theta = (np.cumsum(free) - 1)[theta]
+        self._system = np.empty((len(factor.J), free.sum() + 1))
+        self._system[:, :-1] = factor.J[:, free]
         self.columns = layout.columns_of([b for b in blocks if layout.is_free(b)])[None]  # (1, free)
 
     def rows(self, states: States) -> tuple[np.ndarray, np.ndarray]:
-        """Residual (n,) and its Jacobian in the free columns (n, free)."""
-        J0 = self._factor.J
+        """Residual (n,) and its Jacobian in the free columns (n, free); buffers, valid until the next call."""
+        system = self._evaluate(states)
+        return system[:, -1], system[:, :-1]
+
+    def linearize(self, states: States, products: np.ndarray) -> tuple[float, np.ndarray]:
+        """Fills [J r]' [J r], (1, free + 1, free + 1); returns cost and residual (n,)."""
+        system = self._evaluate(states)
+        np.dot(system.T, system, products[0])
+        r = system[:, -1].copy()
+        return 0.5 * float(r @ r), r
+
+    def _evaluate(self, states: States) -> np.ndarray:
+        """[J r], (n, free + 1)."""
+        J0, system = self._factor.J, self._system
         poses = np.concatenate([states.poses, states.extrinsics])[self._pose_rows]
         d = prior.difference_poses(poses, self._x0_poses)
         dx = np.empty(J0.shape[1])
         dx[self._pose_columns] = d
         dx[self._speed_columns] = states.speed_biases[self._speed_rows] - self._x0_speeds
-        J = J0.copy()
-        J[:, self._pose_columns[:, 3:]] = (self._J_theta @ prior.inverse_right_jacobian(d[:, 3:])).transpose(1, 0, 2)
-        return self._factor.r + J0 @ dx, J[:, self._free]
-
-    def linearize(self, states: States, JtJ: np.ndarray, Jtr: np.ndarray) -> tuple[float, np.ndarray]:
-        """Fills J'J (1, n, n) and J'r (1, n); returns cost and residual (n,)."""
-        r, J = self.rows(states)
-        np.matmul(J.T, J, JtJ[0])
-        np.matmul(r, J, Jtr[0])
-        return 0.5 * float(r @ r), r
+        J_theta = self._J_theta @ prior.inverse_right_jacobian(d[self._turning, 3:])
+        system[:, self._theta] = J_theta.transpose(1, 0, 2)
+        system[:, -1] = self._factor.r + J0 @ dx
+        return system

@@ -1,0 +1,136 @@
+"""The rows of projections by compiled code: its C source, its call, and the check that it gives NumPy's bits."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from ..factors.c_source import c_function
+from ..factors.factor import Factor
+from ..factors.reprojection import FACTORS, measurement
+from ..factors.robust import Loss
+from ..geometry import so3
+from .problem import Projections, States
+from .visual_rows import NumpyRows, RowIndex, Rows, active_blocks
+
+_LOSSES = ("none", "cauchy", "huber")
+_INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
+
+
+class Arguments(ctypes.Structure):
+    """`struct arguments` of kernel.c."""
+
+    _fields_ = (
+        ("n", _INT),
+        ("width", _INT),
+        ("loss", _INT),
+        ("scale", ctypes.c_double),
+        *((name, _POINTER) for name in ("anchor", "observer", "landmark", "start", "place", "row", "data")),
+        *((name, _POINTER) for name in ("poses", "extrinsic", "inv_depths")),
+        *((name, _POINTER) for name in ("residuals", "squared", "packed", "W", "h", "g_l")),
+    )
+
+
+@lru_cache(maxsize=1)
+def source() -> str:
+    """The whole translation unit: kernel.c and one entry for each residual, with the extrinsics held and free."""
+    parts = [Path(__file__).with_name("kernel.c").read_text()]
+    for factor in FACTORS.values():
+        for blocks in (2, 3):
+            name = _entry(factor, blocks)
+            parts.append(c_function(factor.function(active_blocks(blocks)), name))
+            parts.append(f"PROJECT({name}, {factor.n_data}, {blocks})")
+    return "\n".join(parts) + "\n"
+
+
+def _entry(factor: Factor, blocks: int) -> str:
+    return f"{factor.name}_{blocks}"
+
+
+class Library:
+    """The entries of a compiled library.  Raises OSError when it cannot be loaded."""
+
+    def __init__(self, path: Path):
+        loaded = ctypes.CDLL(str(path))
+        self._entries = {}
+        for name in (_entry(factor, blocks) for factor in FACTORS.values() for blocks in (2, 3)):
+            entry = getattr(loaded, f"project_{name}")
+            entry.argtypes, entry.restype = (ctypes.POINTER(Arguments),), None
+            self._entries[name] = entry
+
+    def rows(self, index: RowIndex) -> CompiledRows:
+        return CompiledRows(self._entries[_entry(index.factor, len(index.start))], index)
+
+
+class CompiledRows:
+    """All projections in one call."""
+
+    def __init__(self, entry: ctypes._NamedFuncPointer, index: RowIndex):
+        self._entry, self._index = entry, index
+        n, table = len(index.table), index.table
+        self.packed = np.empty((2 * n, index.camera_columns + 1))
+        integers = {"anchor": table.anchor, "observer": table.observer, "landmark": table.landmark}
+        integers |= {"start": index.start, "place": index.place, "row": index.row}
+        arrays: dict[str, np.ndarray] = {name: np.ascontiguousarray(a, np.int64) for name, a in integers.items()}
+        arrays |= {"data": np.ascontiguousarray(index.data), "packed": self.packed}
+        self._kept_alive = arrays
+        self._arguments = Arguments(
+            n=n, width=index.width, loss=_LOSSES.index(index.loss.kind), scale=index.loss.scale, **_addresses(arrays)
+        )
+        self._n_poses = 1 + max(table.anchor.max(), table.observer.max())
+
+    def evaluate(self, states: States) -> Rows:
+        n, m, width = len(self._index.table), self._index.n_landmarks, self._index.width
+        inputs = {
+            "poses": np.ascontiguousarray(states.poses, float),
+            "extrinsic": np.ascontiguousarray(states.extrinsics[self._index.table.camera], float),
+            "inv_depths": np.ascontiguousarray(states.inv_depths, float),
+        }
+        if states.poses.shape[1:] != (7,) or len(states.poses) < self._n_poses or inputs["extrinsic"].shape != (7,):
+            raise ValueError(f"poses {states.poses.shape}, extrinsics {states.extrinsics.shape} are not those indexed")
+        if inputs["inv_depths"].shape != (m,):
+            raise ValueError(f"{inputs['inv_depths'].shape} inverse depths, {m} indexed")
+        rows = Rows(np.empty((2, n)), np.empty(n), np.zeros((m, width)), np.zeros(m), np.zeros(m))
+        for name, address in _addresses(inputs | vars(rows)).items():
+            setattr(self._arguments, name, address)
+        self._entry(self._arguments)
+        return rows
+
+
+def _addresses(arrays: dict[str, np.ndarray]) -> dict[str, int]:
+    return {name: a.ctypes.data for name, a in arrays.items()}
+
+
+def check(library: Library) -> str:
+    """Why `library` must not be used; empty when it gives the bits of NumPy on every residual and loss."""
+    for form, factor in FACTORS.items():
+        for blocks in (2, 3):
+            for loss in (Loss("none"), Loss("cauchy", 1.0), Loss("huber", 0.7)):
+                index, states = _example(form, factor, blocks, loss)
+                ours, expected = library.rows(index), NumpyRows(index)
+                pairs = zip(vars(ours.evaluate(states)).items(), vars(expected.evaluate(states)).values())
+                results = [*pairs, (("packed", ours.packed), expected.packed)]
+                for (name, a), b in results:
+                    if a.tobytes() != b.tobytes():
+                        return f"{name} of {factor.name} with {loss} differs from NumPy's by {np.abs(a - b).max():.1e}"
+    return ""
+
+
+def _example(form: str, factor: Factor, blocks: int, loss: Loss) -> tuple[RowIndex, States]:
+    """A window of random numbers, of a size that fills the lanes of the kernel more than once but not exactly."""
+    rng = np.random.default_rng(0)
+    n, m, frames = 300, 40, 8
+    landmark = rng.integers(0, m, n)
+    anchor = rng.integers(0, frames - 1, m)[landmark]
+    rays = rng.normal(size=(2, n, 3)) * 0.4 + [0, 0, 1]
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    table = Projections(anchor, rng.integers(anchor + 1, frames), landmark, rays[0], rays[1])
+    starts = [6 * table.anchor, 6 * table.observer, np.full(n, 6 * frames)]
+    place, width = rng.permutation(2 * n).reshape(2, n), 6 * (frames + 1)
+    data = measurement(form, rays[0], rays[1], 460.0)
+    index = RowIndex(table, factor, data, loss, rng.permutation(n), place, np.stack(starts[:blocks]), m, width)
+    T = np.concatenate([rng.normal(size=(frames + 1, 3)), so3.exp(rng.normal(size=(frames + 1, 3)))], 1)
+    return index, States(T[:-1], np.zeros((frames, 9)), T[-1:], rng.uniform(-0.1, 1, m))
