@@ -123,8 +123,11 @@
   };
   vi.show = (title) => {
     const found = [...document.querySelectorAll("[role=tab]")].find((tab) => tab.textContent.trim() === title);
-    found?.click();
-    return !!found;
+    if (!found) return false;
+    const { x, y } = found.getBoundingClientRect();
+    const at = { bubbles: true, isPrimary: true, pointerId: 1, button: 0, clientX: x + 5, clientY: y + 5 };
+    for (const name of ["pointerdown", "pointerup"]) found.dispatchEvent(new PointerEvent(name, at)); // tabs can be dragged
+    return true;
   };
 
   vi.load = (el) => {

@@ -171,7 +171,7 @@ class Session:
     def save_parameters(self) -> None:
         """Give the changed parameters to the browser as a file for `--params`."""
         content = params_yaml(self.experiment.params, Params())
-        self.client.send_file_download("vinspect-parameters.yaml", content.encode())
+        self.client.send_file_download("vinspect-parameters.yaml", content.encode(), save_immediately=True)
 
     def load_parameters(self, text: str, name: str) -> None:
         try:

@@ -72,7 +72,7 @@ def _entry(ctx: PanelContext, run: RunEntry) -> Html:
     lines = [tag("div", badge, name, *buttons, cls="vi-runhead")]
     if run.growing:
         done = bar(run.share, FORK if run.parent else ESTIMATE)
-        stop = tag("button", "stop", cls="vi-button", onclick=send(k="stop", id=run.id))
+        stop = tag("button", "stop", cls="vi-button", onclick=send(k="stop", id=run.id)) if run.id else None
         lines.append(tag("div", done, muted(f"frame {run.frames}"), stop, cls="vi-growing"))
     if run.error:
         lines.append(tag("div", run.error, cls="vi-outcome"))
@@ -140,7 +140,7 @@ def _comparison(ctx: PanelContext, other: OtherRun) -> Iterator[Html]:
     if found is None:
         yield muted("comparing …")
         return
-    yield _first_difference(ctx, found)
+    yield _first_difference(found, other.growing)
     yield _metrics(found)
     yield from _settings("parameters that differ", found.parameters)
     yield from _settings("calibration that differs", found.calibration)
@@ -148,14 +148,15 @@ def _comparison(ctx: PanelContext, other: OtherRun) -> Iterator[Html]:
     yield from _settings("made with", found.environment)
 
 
-def _first_difference(ctx: PanelContext, found: Comparison) -> Html:
+def _first_difference(found: Comparison, growing: bool) -> Html:
     decision, numbers = found.first_difference, found.first_number
     if decision is None:
-        words = f"Every decision of {found.frames_compared} frames is the same."
+        words = f"Every decision of {found.frames_compared} frames is the same{' so far' if growing else ''}."
+        first = "" if growing else "none"
         if numbers is None:
-            return tag("div", words, " So is every number.", cls="vi-outcome vi-good", data_first="none")
+            return tag("div", words, " So is every number.", cls="vi-outcome vi-good", data_first=first)
         where = text(("Numbers differ from frame ", frame_link(numbers.frame, numbers.frame), f" on ({numbers.path})."))
-        return tag("div", words, " ", where, cls="vi-outcome vi-plain", data_first="none")
+        return tag("div", words, " ", where, cls="vi-outcome vi-plain", data_first=first)
     go = tag(
         "button", text(("go to frame ", strong(decision.frame))), cls="vi-button vi-go",
         onclick=send(k="frame", i=decision.frame), data_first=str(decision.frame),

@@ -74,12 +74,14 @@ def open_page(browser: Browser) -> Iterator[OpenPage]:
     """Opens a server's page in a fresh tab, waits for the first frame, and closes it afterwards."""
     contexts = []
 
-    def start(server: Server, size: tuple[int, int] = (1600, 950), canvas: bool = False, wait: str = "img") -> Page:
+    def start(
+        server: Server, size: tuple[int, int] = (1600, 950), canvas: bool = False, wait: str = "img", query: str = ""
+    ) -> Page:
         context = browser.new_context(viewport={"width": size[0], "height": size[1]})
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(TIMEOUT_MS)
-        page.goto(server.url)
+        page.goto(server.url + query)
         if not canvas:
             page.add_style_tag(content=HIDE_CANVAS)
         page.locator(f"[data-vip=camera] {wait}").first.wait_for()

@@ -90,7 +90,7 @@ class Markup(HTMLParser):
         assert len({name for name, _ in attrs}) == len(attrs), f"attribute twice in <{tag} {attrs}>"
         element = Element(tag, {name: value or "" for name, value in attrs})
         self._open[-1].children.append(element)
-        if tag != "img":
+        if tag not in ("img", "br", "input"):
             self._open.append(element)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
