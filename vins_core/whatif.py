@@ -46,7 +46,7 @@ def resolve(
     """Repeat frame k of a run with `params`, from the recorded state after frame k - 1.
 
     `images` are needed only to run the front end again; by default those that the run refers to.
-    With the parameters of the run, `after` equals `before` bit for bit.
+    With the parameters of that frame (`header.params_at(k)`), `after` equals `before` bit for bit.
     Raises RunError when the frame cannot be restored, or the back end of the run is not available.
     """
     header = run.header
@@ -61,7 +61,7 @@ def resolve(
         else:
             tracked = recorded_tracks(run, k, params)
             _, after, ms = advance(params, header.calibration, state, packet, tracked, {})
-    return WhatIf(before, after, header.params, params, ms, rerun_frontend)
+    return WhatIf(before, after, header.params_at(k), params, ms, rerun_frontend)
 
 
 def needs_frontend(changes: dict[str, object]) -> bool:

@@ -152,7 +152,7 @@ def first_difference(
         if first.same_bytes(second, k):
             continue
         a, b = first.report(k), second.report(k)
-        found = differing_decision(a, b, first.header.params, second.header.params)
+        found = differing_decision(a, b, first.header.params_at(k), second.header.params_at(k))
         if number is None:
             number = differing_number(a, b)
             if number and found and not _precedes(number, found):
@@ -177,6 +177,7 @@ def differing_number(a: FrameReport, b: FrameReport) -> NumberDifference | None:
     for stage, path, x, y in _numbers(a, b):
         if isinstance(x, np.ndarray) and isinstance(y, np.ndarray) and x.shape == y.shape and x.dtype == y.dtype:
             largest = float(np.nanmax(np.abs(x.astype(float) - y.astype(float)), initial=0.0))
+            largest = largest if np.array_equal(x != x, y != y) else np.inf
             return NumberDifference(a.frame, a.t_ns, stage, path, None, None, largest)
         first, second = (float(v) if isinstance(v, (int, float)) else None for v in (x, y))
         largest = np.inf if first is None or second is None else abs(first - second)

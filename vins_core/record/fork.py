@@ -45,6 +45,7 @@ def fork(
 ) -> Result:
     """Repeat `run` with `changes` (`section.name -> value`) from frame `at` on: the first one that they apply to.
 
+    A fork of a fork keeps its changes, also where it begins before them.
     Computes `frames` frames, by default up to the last one that `run` holds.  Without changes the fork equals the
     run bit for bit where versions and processor are the same; the notes of the result say where they are not.
     `images`: where pixels come from, by default the record or the recording it names.  `backend`: "auto" is that of
@@ -96,7 +97,8 @@ def recorded_images(run: RunReader) -> Iterator[ImageSource]:
 
 def _packets(run: RunReader, at: int, params: Params) -> Iterator[Packet]:
     recorded = (run.packet(k) for k in range(at, len(run)))
-    if params.frontend.freq == run.header.params.frontend.freq:
+    begins = [at, *(parent.frame for parent in run.header.lineage() if parent.frame > at)]
+    if all(run.header.params_at(k).frontend.freq == params.frontend.freq for k in begins):
         return recorded
     last_frame_ns = run.summary(at - 1).t_ns if at else None
     return regroup(recorded, params.frontend, run.header.calibration.td_s, at, last_frame_ns)
@@ -110,7 +112,10 @@ def _expect(run: RunReader, at: int, params: Params, frames: int | None) -> int:
 
 
 def _header(run: RunReader, at: int, params: Params, end: int, backend: str) -> RunHeader:
-    before, changed = run.header, parameters.changed(params, run.header.params)
+    before, old = run.header, run.header.params_at(at - 1)
+    changed = parameters.changed(params, old)
+    kept = next((parent for parent in before.lineage() if parent.frame < at), None)
+    parent = Parent(before.id, str(run.path.resolve()), at, changed, parameters.changed(old, params), kept)
     versions, cpu = package_versions(), cpu_model()
     notes = [f"{what} was {a or 'unknown'} and is {b}" for what, a, b in _other_machine(before, versions, cpu)]
     return dataclasses.replace(
@@ -120,7 +125,7 @@ def _header(run: RunReader, at: int, params: Params, end: int, backend: str) -> 
         expected_frames=end,
         backend=backend,
         embedded_images=run.has_images,
-        parent=Parent(before.id, str(run.path.resolve()), at, changed),
+        parent=parent,
         notes=tuple(f"the fork may differ in its last digits: {note}" for note in notes),
         id=uuid.uuid4().hex[:12],
         created_utc=datetime.now(UTC).isoformat(timespec="seconds"),

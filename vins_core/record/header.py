@@ -7,7 +7,7 @@ import importlib.metadata
 import platform
 import uuid
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -36,7 +36,9 @@ class Parent:
     id: str
     path: str  # where it was then; the fork does not need it
     frame: int  # the first one computed with the changed parameters
-    changes: Mapping[str, Any]  # section.name -> value in the fork
+    changes: Mapping[str, Any]  # section.name -> value from this frame on
+    before: Mapping[str, Any] = field(default_factory=dict)  # the same keys -> value before it
+    parent: Parent | None = None  # of the parent, when it was a fork itself
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,21 @@ class RunHeader:
     created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     versions: Mapping[str, str] = field(default_factory=lambda: package_versions())
     cpu: str = field(default_factory=lambda: cpu_model())
+
+    def params_at(self, frame: int) -> Params:
+        """The parameters that a frame was computed with: those of a parent, for what a fork copied of it."""
+        params = self.params
+        for parent in self.lineage():
+            if frame < parent.frame:
+                params = parameters.replace(params, parent.before)
+        return params
+
+    def lineage(self) -> Iterator[Parent]:
+        """Its parent, that one's parent, and so on."""
+        parent = self.parent
+        while parent is not None:
+            yield parent
+            parent = parent.parent
 
 
 def package_versions() -> dict[str, str]:
@@ -104,6 +121,7 @@ def from_json(data: bytes, where: str) -> RunHeader:
     document = {"id": hashlib.sha256(data).hexdigest()[:12]} | document  # the first records had none
     try:
         header = _build(RunHeader, document, params=_params_from_dict, calibration=_calibration_from_dict)
+        header.params_at(-1)  # values of parents are checked, too
     except ParameterError as problem:
         raise RunError(f"{where} was written by another version: {problem}") from None
     except (msgspec.MsgspecError, VinspectError, KeyError, TypeError, ValueError) as problem:

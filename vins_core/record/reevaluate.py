@@ -114,7 +114,7 @@ class GateHistory:
         """Read the next frames, no more than `at_most`; returns how many are still missing."""
         end = len(run) if at_most is None else min(self.frames + at_most, len(run))
         while self.frames < end:
-            self.extend(run.report(self.frames), run.header.params)
+            self.extend(run.report(self.frames), run.header.params_at(self.frames))
         return len(run) - self.frames
 
     def extend(self, report: FrameReport, params: Params) -> None:

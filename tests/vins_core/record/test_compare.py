@@ -238,6 +238,14 @@ def test_numbers_that_do_not_exist_on_both_sides_agree(report: FrameReport) -> N
     assert found is not None and found.path == "keyframe.parallax_px"
 
 
+def test_a_number_that_only_one_side_has_is_infinitely_different(report: FrameReport) -> None:
+    assert report.landmarks is not None
+    error = report.landmarks.error_px.copy()
+    error[3] = np.nan
+    found = differing_number(report, replace(report, landmarks=replace(report.landmarks, error_px=error)))
+    assert found is not None and found.largest == np.inf
+
+
 def test_a_single_bit_of_an_array_is_found(report: FrameReport) -> None:
     assert report.solve is not None
     errors = report.solve.visual_error_px.copy()

@@ -19,6 +19,7 @@ from vins_core.record.fork import fork
 from vins_core.record.header import from_json, to_json
 from vins_core.record.recording import END, HEADER, INTERRUPTED, RunReader, RunWriter
 from vins_core.runner import run_recording
+from vins_core.whatif import resolve
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +93,20 @@ def test_a_fork_of_a_fork_continues_with_both_changes(run: RunReader, tmp_path: 
     assert changed(b.header.params, run.header.params) == {"window.pixel_sigma": 2.0, "window.max_iterations": 3}
     assert len(b) == 26 and same_frames(a, b, range(24)) == []
     assert all(s.n_iterations <= 3 for s in b.summaries[24:])
+    for k in (0, 19, 20, 23, 24, 25):
+        params = b.header.params_at(k)
+        assert (params.window.pixel_sigma, params.window.max_iterations) == (1.5 if k < 20 else 2.0, 8 if k < 24 else 3)
+        assert differences(resolve(b, k, params).after, b.report(k)) == []
+
+
+def test_a_fork_that_begins_before_the_forks_own_changes_keeps_them(run: RunReader, tmp_path: Path) -> None:
+    fork(run, 24, tmp_path / "a", {"window.pixel_sigma": 2.0}, frames=2)
+    fork(RunReader(tmp_path / "a"), 20, tmp_path / "b", {})
+    fork(run, 20, tmp_path / "c", {"window.pixel_sigma": 2.0}, frames=6)
+    b, c = RunReader(tmp_path / "b"), RunReader(tmp_path / "c")
+    assert same_frames(b, c, range(26)) == []
+    assert b.header.parent is not None and b.header.parent.changes == {"window.pixel_sigma": 2.0}
+    assert b.header.parent.before == {"window.pixel_sigma": 1.5} and b.header.parent.parent is None
 
 
 def test_a_fork_from_the_first_frame_is_a_run_with_these_parameters(run: RunReader, tmp_path: Path) -> None:

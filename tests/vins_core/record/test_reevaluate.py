@@ -10,6 +10,7 @@ import record_samples as samples
 from vins_core import params as parameters
 from vins_core.errors import ParameterError
 from vins_core.params import DECLARATIONS, Params
+from vins_core.record.fork import fork
 from vins_core.record.recording import RunReader
 from vins_core.record.reevaluate import GIVEN, Column, Derived, Flips, GateHistory
 from vins_core.report import FrameReport, Gate, InitReport, InitStage
@@ -185,6 +186,15 @@ def test_a_history_grows_with_its_run(run: RunReader, history: GateHistory) -> N
         mine = growing.columns()[key]
         for name in ("frames", "values", "limits", "decides"):
             np.testing.assert_array_equal(getattr(mine, name), getattr(whole, name))
+
+
+def test_frames_of_a_fork_are_held_against_the_limits_they_were_computed_with(run: RunReader, tmp_path: Path) -> None:
+    fork(run, 20, tmp_path / "fork", {"window.max_error_px": 1.0}, frames=3)
+    history = GateHistory()
+    history.follow(RunReader(tmp_path / "fork"))
+    errors = column(history, "landmarks", "mean reprojection error")
+    assert {float(v) for v in errors.limits[errors.frames < 20]} == {3.0}
+    assert {float(v) for v in errors.limits[errors.frames >= 20]} == {1.0}
 
 
 def test_a_wrong_parameter_is_refused(history: GateHistory) -> None:
