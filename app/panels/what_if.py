@@ -119,7 +119,10 @@ def _fork_row(ctx: PanelContext, seen: ExperimentView) -> Html:
         tag("option", label, value=str(n), selected="selected" if n == ctx.fork_frames else None) for label, n in SPANS
     )
     span = tag(
-        "select", *options, aria_label="how many frames a fork computes", onchange="vi.send({k:'span',frames:+this.value})"
+        "select",
+        *options,
+        aria_label="how many frames a fork computes",
+        onchange="vi.send({k:'span',frames:+this.value})",
     )
     go = _button(
         text(("Fork from frame ", strong(ctx.frame))), send(k="fork"), cls="vi-go", title="Ctrl Enter: repeat from here"
