@@ -50,7 +50,9 @@ def read_params(path: Path | str) -> dict[str, Any]:
     for section, names in content.items():
         if not isinstance(names, Mapping):
             raise ParameterError(f"{path}: {section}: {names!r} is not of the form `section: {{name: value}}`")
-        changes |= {f"{section}.{name}": value for name, value in names.items()}
+        for name, value in names.items():
+            declared = DECLARATIONS.get(key := f"{section}.{name}")
+            changes[key] = str(value) if declared and declared.choices else value  # a choice may look like a number
     try:
         checked = parameters.replace(Params(), changes)
     except ParameterError as problem:
