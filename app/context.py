@@ -29,9 +29,11 @@ survive new content; `--vi-head` is the shown frame's place in the run, 0..1, so
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from vins_core.report import FrameReport, FrameSummary, Timings
 from vins_core.sensors import Trajectory
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
     from .comparison import OtherRun
     from .experiment import ExperimentView
+    from .prior import PriorView
     from .store import RunEntry
 
 GATE_SLICE = 50
@@ -71,7 +74,9 @@ class RunView:
     def __init__(self, reader: RunReader) -> None:
         self.reader = reader
         self.report = lru_cache(maxsize=400)(reader.report)
+        self.prior = lru_cache(maxsize=32)(self._prior)
         self._series = run_series([], None)
+        self._leaks: list[np.ndarray] = []
         self._reading = threading.Lock()
 
     def __len__(self) -> int:
@@ -102,7 +107,28 @@ class RunView:
         """Arrays over the frames read so far."""
         if len(self._series) != len(self.summaries):
             self._series = run_series(self.summaries, self.truth)
+        known = self._leaks[: len(self._series)]  # grows in another thread
+        if self._series.leaks_known != len(known):
+            leak = np.full((len(self._series), 4), np.nan)
+            leak[: len(known)] = known
+            self._series = replace(self._series, leak=leak, leaks_known=len(known))
         return self._series
+
+    def _prior(self, k: int) -> PriorView | None:
+        """The prior after frame k; RunError when the record does not hold states."""
+        from .prior import prior_view  # with it comes the estimator
+
+        return prior_view(self.reader.state(k).window, self.header.params.marginalization.eigen_threshold)
+
+    def read_leaks(self, at_most: int = GATE_SLICE) -> int:
+        """Work out what leaked into the next frames' priors; returns how many frames are still missing."""
+        from .prior import leaked
+
+        with self._reading:
+            for k in range(len(self._leaks), min(len(self._leaks) + at_most, len(self))):
+                window = self.reader.state(k).window
+                self._leaks.append(leaked(window.prior, window) if window.prior else np.full(4, np.nan))
+            return len(self) - len(self._leaks)
 
     @cached_property
     def gates(self) -> GateHistory:

@@ -6,7 +6,7 @@ Computed from the frame summaries alone, so that opening a long run stays fast.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -48,6 +48,8 @@ class RunSeries:
     ate_m: np.ndarray  # RMSE of `error_m` up to this frame
     ms: dict[str, np.ndarray]  # milliseconds per stage (see report.Timings)
     events: tuple[Event, ...]
+    leak: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # (n, 4) see prior.leaked; filled later
+    leaks_known: int = 0  # frames of `leak` that are
 
     def __len__(self) -> int:
         return len(self.t_s)

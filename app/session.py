@@ -88,6 +88,7 @@ class Session:
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._page = int(client.camera.image_width), int(client.camera.image_height)
         self._canvas = 0
+        self._leaking = False
         self._tasks: set[asyncio.Task[None]] = set()
         self.other: OpenRun | None = None
         """The run compared with."""
@@ -435,7 +436,11 @@ class Session:
         """Do something slow in a thread, then the rest here, and draw again."""
 
         async def wait() -> None:
-            await asyncio.to_thread(work)
+            try:
+                await asyncio.to_thread(work)
+            except VinspectError as problem:
+                log.info("%s", problem)
+                return
             then()
             self.refresh()
 
@@ -501,6 +506,7 @@ class Session:
                 solved = ctx.experiment.solved if ctx.experiment else None
                 frame = replace(frame, other=ctx.other, resolved=solved.after.window if solved else None)
                 self.scene.update(frame)
+                self._read_leaks(run)
                 self._aim(frame)
 
     def _context(self, run: RunView, k: int) -> PanelContext:
@@ -526,6 +532,18 @@ class Session:
             runs=self.store.entries() if "runs" in self._visible else (),
             other=self._beside(run),
         )
+
+    def _read_leaks(self, run: RunView) -> None:
+        """Work out in a thread what leaked into the priors, while somebody looks at it."""
+        shown = "prior" in self._visible or any(name.startswith("leak.") for name in self.layout.signals)
+        if self._leaking or not shown or run.series.leaks_known >= len(run):
+            return
+        self._leaking = True
+
+        def done() -> None:
+            self._leaking = False
+
+        self._background(run.read_leaks, done)
 
     def _beside(self, run: RunView) -> OtherRun | None:
         return None if self.other is None else self.comparer.look(run, self.other, self.store.name(self.other))

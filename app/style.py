@@ -249,7 +249,23 @@ _RUNS = f"""
 .vi-value .vi-otherval{{color:{FORK};font-size:11px}}
 """
 
+_MATRIX = f"""
+.vi-matrix{{display:grid;grid-template:16px auto/26px auto;max-width:560px}}
+.vi-mtop{{grid-area:1/2;position:relative}} .vi-mleft{{grid-area:2/1;position:relative}}
+.vi-mtop span,.vi-mleft span{{position:absolute;font-size:10px;line-height:1;color:{MUTED};white-space:nowrap}}
+.vi-mtop span{{transform:translateX(-50%);bottom:4px}} .vi-mleft span{{transform:translateY(-50%);right:5px}}
+.vi-mbody{{grid-area:2/2;position:relative;aspect-ratio:1;border-radius:3px;overflow:hidden;background:#000}}
+.vi-mbody img,.vi-mbody svg{{position:absolute;inset:0;width:100%;height:100%}}
+.vi-mbody img{{image-rendering:pixelated}}
+.vi-edges{{stroke:#FFFFFF;stroke-opacity:.16;stroke-width:1;vector-effect:non-scaling-stroke;fill:none}}
+.vi-cut{{stroke:{BAD};stroke-width:1.6;vector-effect:non-scaling-stroke;fill:none}}
+.vi-cell{{fill:transparent;cursor:pointer}} .vi-cell:hover{{fill:#FFFFFF2E}}
+.vi-mscale{{display:inline-flex;align-items:center;gap:4px;margin-left:8px;font-size:10px}}
+.vi-magma{{display:inline-block;width:60px;height:8px;border-radius:3px;background:linear-gradient(90deg,#000004,#3B0F70,
+ #8C2981,#DE4968,#FE9F6D,#FCFDBF)}}
+"""
+
 FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
 """Colours of the three factor types, wherever a cost is split."""
 
-CSS = "".join((_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _TIPS))
+CSS = "".join((_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _MATRIX, _TIPS))

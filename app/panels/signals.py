@@ -12,6 +12,7 @@ from vins_core import params as parameters
 from ..context import PanelContext, RunView
 from ..html import Html, brief, empty, key_cap, number, panel, tag, term, unit
 from ..palette import BAD, ESTIMATE, FORK, IMU, PRIOR
+from ..prior import FREE
 from ..series import RunSeries
 from ..style import FACTOR_COLOURS
 from ..widgets.plot import WIDTH, line, svg, top_of
@@ -35,10 +36,15 @@ class Signal:
     values: Callable[[RunSeries], np.ndarray]
     unit: str = ""
     limit: str = ""
+    least: float = 0.0  # smallest upper end of the axis: below it there is nothing to see
 
 
 def _norm(rows: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rows, axis=1)
+
+
+def _leak(series: RunSeries) -> np.ndarray:
+    return series.leak if len(series.leak) == len(series) else np.full((len(series), 4), np.nan)
 
 
 SIGNALS = (
@@ -52,6 +58,8 @@ SIGNALS = (
     Signal("solve", "solve", "ms", PLAIN, lambda s: s.ms.get("solve", np.full(len(s), np.nan)), "ms"),
     Signal("b_a", "|b_a|", "b_a", IMU, lambda s: _norm(s.b_a), "m/s^2"),
     Signal("b_g", "|b_g|", "b_g", IMU, lambda s: _norm(s.b_g), "rad/s"),
+    Signal("leak.yaw", "yaw leak", "prior.yaw", PRIOR, lambda s: _leak(s)[:, 3], "1/rad²", least=FREE),
+    Signal("leak.position", "position leak", "prior.leak", PRIOR, lambda s: _leak(s)[:, :3].max(1), "1/m²", least=FREE),
     Signal("speed", "speed", "speed", PLAIN, lambda s: _norm(s.v_w_b), "m/s"),
 )
 
@@ -109,7 +117,7 @@ _TALL = f"height:{HEIGHT}px;margin-bottom:{GAP}px"
 def _axis(run: RunView, signal: Signal, values: np.ndarray, other: np.ndarray | None) -> tuple[float, float | None]:
     """(upper end, limit to draw); the run compared with may stretch the axis, but not flatten the run shown."""
     limit = float(parameters.get(run.header.params, signal.limit)) if signal.limit else None
-    top = top_of(values)
+    top = max(top_of(values), signal.least)
     if other is not None and np.isfinite(other).any():
         top = max(top, min(top_of(other), 3 * top))
     return max(top, 1.15 * (limit or 0.0)), limit

@@ -75,6 +75,9 @@ def selection_rays(frame: SceneFrame) -> np.ndarray:
         slots = np.unique(solve.visual_slots[solve.visual_ids == frame.selection.id])
         slots = slots if len(slots) else landmarks.anchor_slot[row : row + 1]
         return np.stack([centres[slots], np.broadcast_to(landmarks.xyz_w[row], (len(slots), 3))], 1)
+    if frame.selection.kind == "frame" and frame.selection.other >= 0 and frame.report.window is not None:
+        both = np.isin(frame.report.window.frames, (frame.selection.id, frame.selection.other))
+        return centres[both][None] if both.sum() == 2 else nothing
     if frame.selection.kind == "frame" and frame.report.window is not None:
         slot = np.flatnonzero(frame.report.window.frames == frame.selection.id)
         if not len(slot):

@@ -34,7 +34,7 @@ def marginalization(prior: MarginalizationReport, threshold: float) -> Html:
     parts: list[Html | None] = [title, chips, tag("div", blocks, cls="vi-p")]
     if len(prior.eigenvalues):
         parts += [heading("eigenvalues of the prior", _span(prior.eigenvalues), "margin.eigenvalues")]
-        parts += [_spectrum(prior.eigenvalues, threshold)]
+        parts += [spectrum(prior.eigenvalues, threshold)]
     return text(parts)
 
 
@@ -57,7 +57,7 @@ def _span(eigenvalues: np.ndarray) -> str:
     return f"{number(float(eigenvalues.min()), 2)} to {number(float(eigenvalues.max()), 2)}"
 
 
-def _spectrum(eigenvalues: np.ndarray, threshold: float) -> Html:
+def spectrum(eigenvalues: np.ndarray, threshold: float) -> Html:
     """Bars on a logarithmic scale, largest first; those that count as zero in the colour of what is wrong."""
     values = np.sort(eigenvalues)[::-1]
     logs = np.log10(np.maximum(values, 1e-12))

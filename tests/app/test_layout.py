@@ -27,6 +27,7 @@ def test_the_layouts_come_with_hotkeys_in_order() -> None:
         ("default", "alt+1"),
         ("frontend", "alt+2"),
         ("init", "alt+3"),
+        ("prior", "alt+4"),
         ("compare", "alt+5"),
     ]
 

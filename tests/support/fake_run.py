@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import NoReturn
 
 import cv2
 import numpy as np
 
+from vins_core.errors import RunError
 from vins_core.geometry import se3, so3
 from vins_core.geometry.pinhole_radtan import PinholeRadtan
 from vins_core.params import Params
@@ -74,6 +76,9 @@ class FakeRun:
 
     def timings(self, k: int) -> Timings:
         return self.summaries[k].ms
+
+    def state(self, k: int) -> NoReturn:
+        raise RunError(f"frame {k} was recorded without its state")
 
     def refresh(self) -> bool:
         return False
