@@ -1,5 +1,7 @@
 """Milliseconds per stage of a run, beside a yardstick: `python tests/benchmarks/stages.py RECORDING [--calib FILE]`.
 
+`--backend numpy` or `c` instead of what "auto" finds; "c" compiles first, so that every frame has it.
+
 Medians over the frames of one run that also writes its record.  The yardstick (optical flow between two fixed images,
 a Cholesky factorisation of 172 columns) says how fast the machine is, so that figures of two machines compare.
 """
@@ -55,6 +57,7 @@ def main() -> None:
     parser.add_argument("--calib", type=Path, action="append", default=[])
     parser.add_argument("--set", action="append", default=[], metavar="section.name=value")
     parser.add_argument("--duration", type=float)
+    parser.add_argument("--backend", choices=("auto", "numpy", "c"), default="auto")
     args = parser.parse_args()
 
     from vins_core.record.recording import RunReader
@@ -72,9 +75,18 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         started = time.perf_counter()
-        run_recording(args.recording, args.calib, out=out, settings=args.set, duration_s=args.duration, progress=note)
+        run_recording(
+            args.recording,
+            args.calib,
+            out=out,
+            settings=args.set,
+            duration_s=args.duration,
+            backend=args.backend,
+            progress=note,
+        )
         wall = time.perf_counter() - started
-        summaries = RunReader(out).summaries
+        reader = RunReader(out)
+        summaries = reader.summaries
         size = sum(f.stat().st_size for f in out.rglob("*") if f.is_file())
 
     stages: dict[str, list[float]] = defaultdict(list)
@@ -89,6 +101,7 @@ def main() -> None:
         )
         stages["whole frame"].append(sum(s.ms.values()))
     kilobytes = size / len(summaries) / 1e3
+    print(f"back end {reader.header.backend} on {reader.header.cpu}")
     print(f"{len(summaries)} frames, {len(solved)} solved, in {wall:.1f} s; record {kilobytes:.0f} kB a frame")
     for name, ms in yardstick().items():
         print(f"{name:48} {ms:8.2f} ms   yardstick")

@@ -15,8 +15,10 @@ import pytest
 import synthetic_window as sw
 from scipy.linalg import lapack
 
+from vins_core.errors import BackendError
 from vins_core.factors.preintegration import preintegrate
 from vins_core.params import Params
+from vins_core.solver import backend
 from vins_core.solver.levenberg_marquardt import init, solve, step
 from vins_core.solver.linearize import Linearizer
 from vins_core.window.assemble import assemble, solve_report, unpack
@@ -24,6 +26,16 @@ from vins_core.window.marginalize import marginalize_oldest, marginalize_second_
 
 PARAMS = Params()
 EIGHT = replace(PARAMS.solver, function_tolerance=0.0)  # always all eight iterations
+
+
+@pytest.fixture(scope="module", autouse=True, params=["numpy", "c"])
+def each_backend(request):
+    try:
+        chosen = backend.choose(request.param)
+    except BackendError as problem:
+        pytest.skip(str(problem))
+    with backend.using(chosen):
+        yield
 
 
 @pytest.fixture(scope="module")
