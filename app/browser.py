@@ -98,6 +98,10 @@ class Stop(msgspec.Struct, tag_field="k", tag="stop"):
     id: str  # of a run that grows
 
 
+class AskOptimum(msgspec.Struct, tag_field="k", tag="optimum"):
+    """Is the solution of the frame shown the optimum of its window?"""
+
+
 class Link(msgspec.Struct, tag_field="k", tag="link"):
     """The address of the page names a view."""
 
@@ -115,7 +119,7 @@ class Page(msgspec.Struct, tag_field="k", tag="page"):
 
 Event = (
     Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
-    | Open | Compare | Rename | Keep | Stop | Link | Page
+    | Open | Compare | Rename | Keep | Stop | AskOptimum | Link | Page
 )  # fmt: skip
 SCRIPTS = ("page.js", "knobs.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
     from .comparison import OtherRun
     from .experiment import ExperimentView
+    from .optimum import OptimumView
     from .prior import PriorView
     from .store import RunEntry
 
@@ -162,3 +163,4 @@ class PanelContext:
     run_id: str = ""  # of the run shown
     runs: tuple[RunEntry, ...] = ()  # every run there is to open or compare with
     other: OtherRun | None = None  # the run compared with
+    optimum: OptimumView | None = None  # what IPOPT said about this frame's window, when it was asked

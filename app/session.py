@@ -22,6 +22,7 @@ from vins_core.params import DECLARATIONS, Params, get
 from vins_core.sensors import ImageRef
 
 from .browser import (
+    AskOptimum,
     Bridge,
     Compare,
     Event,
@@ -50,6 +51,7 @@ from .context import PanelContext, RunView, Selection
 from .experiment import Experiment, parse_parameters
 from .html import tag
 from .layout import Layout, Panel, Placement, canvas_width, place, save_layout
+from .optimum import Optimum
 from .panel_view import PANELS, PanelView
 from .runs import OpenRun
 from .scene.frame import SceneFrame, scene_unit
@@ -71,6 +73,7 @@ class Session:
         self.opened = opened = self.store.first
         self.experiment = Experiment(self.refresh)
         self.comparer = Comparer(self.refresh)
+        self.optimum = Optimum(self.refresh)
         self.fork_frames = 0  # 0: to the end
         self.want, self.shown = 0, -1
         self.selection = Selection()
@@ -196,6 +199,7 @@ class Session:
         self._closed = True
         self.experiment.close()
         self.comparer.close()
+        self.optimum.close()
         self._wake.set()
 
     # -- the page ----------------------------------------------------------------------------------------------------
@@ -406,6 +410,9 @@ class Session:
                 self.refresh()
             case Fork():
                 self.fork()
+            case AskOptimum() if self._run is not None:
+                self.optimum.ask(self._run, self.want)
+                self.refresh()
             case Open(id):
                 self.use_run(id)
             case Compare(id):
@@ -531,6 +538,7 @@ class Session:
             run_id=self.opened.id,
             runs=self.store.entries() if "runs" in self._visible else (),
             other=self._beside(run),
+            optimum=self.optimum.look(run, k),
         )
 
     def _read_leaks(self, run: RunView) -> None:

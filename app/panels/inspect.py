@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,11 +35,15 @@ from ..html import (
     tag,
     term,
     text,
+    track_link,
     unit,
 )
 from ..palette import BAD, IMU, OK
 from ..style import FACTOR_COLOURS
 from ..widgets.prior import marginalization
+
+if TYPE_CHECKING:
+    from ..optimum import OptimumView
 
 TITLE = "Inspect"
 ICON = "FOCUS_2"
@@ -66,7 +71,8 @@ def render(ctx: PanelContext) -> str:
     if report.pose is not None:
         parts.append(_state(report))
     if report.solve is not None:
-        parts.append(_solver(report.solve))
+        parts.append(_solver(ctx, report.solve))
+        parts.append(_optimum(ctx))
     if report.marginalization is not None:
         threshold = ctx.run.header.params.marginalization.eigen_threshold
         parts.append(marginalization(report.marginalization, threshold))
@@ -304,7 +310,7 @@ def _state(report: FrameReport) -> Html:
 # Solver
 
 
-def _solver(solve: SolveReport) -> Html:
+def _solver(ctx: PanelContext, solve: SolveReport) -> Html:
     kinds = ("n", "n", "n", "n", "n", "")
     names = (
         ("#", "n"),
@@ -324,9 +330,68 @@ def _solver(solve: SolveReport) -> Html:
         for k, it in enumerate(solve.iterations, start=1)
     )  # fmt: skip
     taken = len(solve.iterations)
-    note = f"{taken} iteration{'' if taken == 1 else 's'}"
+    settings = ctx.run.header.params.solver
+    how = f"{settings.method}, damping {settings.damping}"
+    note = text(
+        (
+            tag("a", how, cls="vi-link", onclick=send(k="knob", key="solver.method")),
+            f", {taken} iteration{'' if taken == 1 else 's'}",
+        )
+    )
     stopped = tag("div", muted("stopped: "), term(solve.termination or "no reason given", "termination"), cls="vi-p")
     return text((heading("solver", note), table(names, rows) if taken else None, stopped))
+
+
+# Optimum
+
+
+def _optimum(ctx: PanelContext) -> Html:
+    """IPOPT's answer to the same window, when it was asked."""
+    seen = ctx.optimum
+    ask = tag(
+        "button", "Is this the optimum?", cls="vi-button", onclick=send(k="optimum"),
+        disabled="disabled" if seen is not None and seen.busy else None,
+        title="solve this window again with IPOPT through CasADi, to its end",
+    )  # fmt: skip
+    head = tag("div", ask, muted("IPOPT is at work …") if seen is not None and seen.busy else None, cls="vi-forkrow")
+    if seen is None or seen.busy:
+        return head
+    if seen.comparison is None:
+        return text((head, tag("div", seen.problem, cls="vi-outcome")))
+    return text((head, tag("div", *_answer(seen), data_optimum="1")))
+
+
+def _answer(seen: OptimumView) -> Iterator[Html]:
+    found = seen.comparison
+    assert found is not None
+    near = found.excess < _NEAR
+    words = "Yes, within " if near else "Not quite: it costs more by "
+    share = f"{number(100 * max(found.excess, 0.0), 2)} %"
+    yield tag("div", words, strong(share), ".", cls="vi-outcome " + ("vi-good" if near else "vi-plain"))
+    kinds = ("", "n", "n", "n")
+    costs = [(name, a, b) for (name, a), (_, b) in zip(views.split(found.cost), views.split(found.optimum))]
+    costs.append(("total", found.cost.total, found.optimum.total))
+    rows = (table_row((name, number(a, 5), number(b, 5), number(a - b, 2)), kinds) for name, a, b in costs)
+    yield table((("cost", ""), ("solver", "n"), ("IPOPT", "n"), ("Δ", "n")), rows)
+    blocks = (
+        table_row((name, text((strong(number(value, 2)), unit(units))), _where(seen, name, at)), ("", "n", "n"))
+        for name, value, units, at in found.largest()
+    )
+    yield table((("largest difference", ""), ("", "n"), ("at", "n")), blocks)
+    how = f"{found.iterations} iterations in {number(found.ms)} ms: {found.termination}"
+    yield tag("div", muted(how), cls="vi-small")
+
+
+_NEAR = 1e-4
+"""Share of the cost up to which a solution is called optimal: what eight steps of dogleg are held to (SOLVER.md)."""
+
+
+def _where(seen: OptimumView, block: str, at: int) -> Html:
+    if block == "inverse depth":
+        return (
+            track_link(f"track {seen.landmarks[at]}", seen.landmarks[at]) if at < len(seen.landmarks) else muted(DASH)
+        )
+    return frame_link(f"frame {seen.frames[at]}", seen.frames[at]) if at < len(seen.frames) else muted(DASH)
 
 
 # Time

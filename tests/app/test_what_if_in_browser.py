@@ -257,6 +257,40 @@ def test_a_layout_of_ones_own_is_saved_and_offered(page: Page, server: Server) -
     assert session.layout.layers["imu.edges"] is False
 
 
+def test_a_block_of_the_prior_selects_both_its_frames(page: Page, server: Server) -> None:
+    page.keyboard.press("Alt+4")
+    panel = page.locator("[data-vip=prior]").first
+    expect(panel).to_contain_text("null-space check", ignore_case=True)
+    expect(panel.locator(".vi-chip", has_text="leaks")).to_have_count(1)
+    seen = session_of(server).opened.view.prior(FRAME)
+    n = len(seen.blocks)
+    panel.locator(".vi-cell").nth(1 * n + 3).click()
+    wait_until(page, lambda: session_of(server).selection.kind == "frame")
+    picked = session_of(server).selection
+    assert {picked.id, picked.other} == {seen.blocks[1].frame, seen.blocks[3].frame}
+    expect(panel.locator(".vi-picked")).to_have_count(4)
+
+
+def test_what_leaked_over_time_is_a_signal(page: Page, server: Server) -> None:
+    page.keyboard.press("Alt+4")
+    page.locator("[data-signal='leak.yaw']").wait_for()
+    view = session_of(server).opened.view
+    wait_until(page, lambda: view.series.leaks_known == len(view))
+    shown = page.locator("[data-signal='leak.yaw']").inner_text()
+    assert float(shown.split()[0]) == pytest.approx(float(view.prior(FRAME).leaks[3]), rel=0.01)
+
+
+def test_ipopt_says_whether_this_is_the_optimum(page: Page) -> None:
+    open_tab(page, "Inspect")
+    page.get_by_role("button", name="Is this the optimum?").click()
+    answer = page.locator("[data-optimum]")
+    for words in ("IPOPT", "total", "inverse depth", "iterations in"):
+        expect(answer).to_contain_text(words)
+    page.keyboard.press("ArrowRight")
+    wait_for_frame(page, FRAME + 1)
+    expect(page.locator("[data-optimum]")).to_have_count(0)
+
+
 def test_initialised_frames_have_a_window(sample_run: Path) -> None:
     """The tests above look at a frame that is solved."""
     with RunReader(sample_run) as run:
