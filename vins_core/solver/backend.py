@@ -1,7 +1,7 @@
 """Which code evaluates the projections: NumPy, or the same operations compiled to C.
 
 Both give the same bits: every operation of kernel.c is rounded as NumPy rounds it, sums run in the same order, and a
-library that differs in a single bit from NumPy is never used.  Therefore "auto" may take whichever is ready.  A
+library that differs from NumPy in a single one is never used.  Therefore "auto" may take whichever is ready.  A
 command gives the same results whether the cache is empty or full, with a compiler or without; only its speed depends
 on it.  The first run on a machine takes NumPy and has the kernels compiled beside it, at the lowest priority, for
 those that follow.

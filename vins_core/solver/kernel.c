@@ -47,57 +47,72 @@ static inline double weight(enum loss loss, double scale, double s) {
   return 1.0;
 }
 
+/* What `evaluate` reads, for the projections from `first` on; spare lanes repeat the last one. */
+static inline void gather(const struct arguments *a, int64_t first, int lanes, int n_data, double (*x)[LANES]) {
+  for (int l = 0; l < LANES; l++) {
+    const int64_t i = first + (l < lanes ? l : lanes - 1);
+    for (int k = 0; k < POSE; k++) {
+      x[k][l] = a->poses[a->anchor[i] * POSE + k];
+      x[POSE + k][l] = a->poses[a->observer[i] * POSE + k];
+      x[2 * POSE + k][l] = a->extrinsic[k];
+    }
+    x[3 * POSE][l] = a->inv_depths[a->landmark[i]];
+    for (int k = 0; k < n_data; k++) x[3 * POSE + 1 + k][l] = a->data[k * a->n + i];
+  }
+}
+
+/* Keeps the residuals as they are, then multiplies all columns by the root of the robust weight. */
+static inline void weigh(const struct arguments *a, int64_t first, int lanes, int columns, double (*y)[LANES]) {
+  const double(*r)[LANES] = y + 2 * (columns - 1);
+  double s[LANES], w[LANES];
+  for (int l = 0; l < LANES; l++) s[l] = r[0][l] * r[0][l] + r[1][l] * r[1][l];
+  for (int l = 0; l < LANES; l++) w[l] = weight(a->loss, a->scale, s[l]);
+  for (int l = 0; l < lanes; l++) {
+    a->squared[first + l] = s[l];
+    for (int e = 0; e < 2; e++) a->residuals[e * a->n + a->row[first + l]] = r[e][l];
+  }
+  for (int k = 0; k < 2 * columns; k++)
+    for (int l = 0; l < LANES; l++) y[k][l] *= w[l];
+}
+
+/* The rows [J_c r] of one projection. */
+static inline void pack(const struct arguments *a, int64_t i, int l, int camera, const double (*y)[LANES]) {
+  for (int e = 0; e < 2; e++) {
+    double *packed = a->packed + a->place[e * a->n + i] * (camera + 1);
+    for (int k = 0; k < camera; k++) packed[k] = y[2 * k + e][l];
+    packed[camera] = y[2 * (camera + 1) + e][l];
+  }
+}
+
+/* J_l' [J_c J_l r] of one projection, added to the rows of its landmark. */
+static inline void add(const struct arguments *a, int64_t i, int l, int camera, const double (*y)[LANES]) {
+  const double *depth = &y[2 * camera][l], *r = &y[2 * (camera + 1)][l];
+  const int64_t m = a->landmark[i];
+  a->h[m] += depth[0] * depth[0] + depth[LANES] * depth[LANES];
+  a->g_l[m] += depth[0] * r[0] + depth[LANES] * r[LANES];
+  for (int k = 0; k < camera; k++) {
+    const double *column = &y[2 * k][l];
+    a->W[m * a->width + a->start[k / TANGENT * a->n + i] + k % TANGENT] +=
+        column[0] * depth[0] + column[LANES] * depth[LANES];
+  }
+}
+
 static inline void project(const struct arguments *a, evaluate_fn *evaluate, int n_data, int blocks) {
-  const int camera = blocks * TANGENT; /* columns of J: those of the camera blocks, the inverse depth, the residual */
-  const int64_t n = a->n;
-  double x[3 * POSE + 1 + MAX_DATA][LANES], y[2 * (MAX_BLOCKS * TANGENT + 2)][LANES], s[LANES], w[LANES];
-  for (int64_t first = 0; first < n; first += LANES) {
-    const int lanes = n - first < LANES ? (int)(n - first) : LANES;
-    for (int l = 0; l < LANES; l++) { /* spare lanes repeat the last projection */
-      const int64_t i = first + (l < lanes ? l : lanes - 1);
-      for (int k = 0; k < POSE; k++) {
-        x[k][l] = a->poses[a->anchor[i] * POSE + k];
-        x[POSE + k][l] = a->poses[a->observer[i] * POSE + k];
-        x[2 * POSE + k][l] = a->extrinsic[k];
-      }
-      x[3 * POSE][l] = a->inv_depths[a->landmark[i]];
-      for (int k = 0; k < n_data; k++) x[3 * POSE + 1 + k][l] = a->data[k * n + i];
-    }
+  const int camera = blocks * TANGENT; /* y: columns of the camera blocks, the inverse depth, the residual */
+  double x[3 * POSE + 1 + MAX_DATA][LANES], y[2 * (MAX_BLOCKS * TANGENT + 2)][LANES];
+  for (int64_t first = 0; first < a->n; first += LANES) {
+    const int lanes = a->n - first < LANES ? (int)(a->n - first) : LANES;
+    gather(a, first, lanes, n_data, x);
     evaluate(x, y);
-
-    const double(*depth)[LANES] = y + 2 * camera, (*r)[LANES] = y + 2 * (camera + 1);
-    for (int l = 0; l < LANES; l++) s[l] = r[0][l] * r[0][l] + r[1][l] * r[1][l];
-    for (int l = 0; l < LANES; l++) w[l] = weight(a->loss, a->scale, s[l]);
+    weigh(a, first, lanes, camera + 2, y);
     for (int l = 0; l < lanes; l++) {
-      const int64_t i = first + l;
-      a->residuals[a->row[i]] = r[0][l];
-      a->residuals[n + a->row[i]] = r[1][l];
-      a->squared[i] = s[l];
-    }
-    for (int k = 0; k < 2 * (camera + 2); k++)
-      for (int l = 0; l < LANES; l++) y[k][l] *= w[l];
-
-    for (int l = 0; l < lanes; l++)
-      for (int e = 0; e < 2; e++) {
-        double *packed = a->packed + a->place[e * n + first + l] * (camera + 1);
-        for (int k = 0; k < camera; k++) packed[k] = y[2 * k + e][l];
-        packed[camera] = r[e][l];
-      }
-    for (int l = 0; l < lanes; l++) {
-      const int64_t i = first + l, m = a->landmark[i];
-      a->h[m] += depth[0][l] * depth[0][l] + depth[1][l] * depth[1][l];
-      a->g_l[m] += depth[0][l] * r[0][l] + depth[1][l] * r[1][l];
-      for (int b = 0; b < blocks; b++) {
-        double *entry = a->W + m * a->width + a->start[b * n + i];
-        for (int k = 0; k < TANGENT; k++) {
-          const double(*column)[LANES] = y + 2 * (TANGENT * b + k);
-          entry[k] += column[0][l] * depth[0][l] + column[1][l] * depth[1][l];
-        }
-      }
+      pack(a, first + l, l, camera, y);
+      add(a, first + l, l, camera, y);
     }
   }
 }
 
 /* One entry for each residual and choice of free blocks: constant sizes let the compiler unroll. */
-#define PROJECT(NAME, N_DATA, BLOCKS) \
+#define PROJECT(NAME, N_DATA, BLOCKS)                                            \
+  _Static_assert(N_DATA <= MAX_DATA && BLOCKS <= MAX_BLOCKS, "arrays too small"); \
   void project_##NAME(const struct arguments *a) { project(a, NAME, N_DATA, BLOCKS); }
