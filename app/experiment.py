@@ -83,6 +83,8 @@ class Experiment:
         self._rerun: bool | None = None  # None: when a parameter of the front end is changed
         self._answer: Answer | None = None
         self._asked: Question | None = None
+        self._settled: tuple[RunView | None, int] = None, -1
+        """The frame that was looked at long enough."""
         self._task: asyncio.Task[None] | None = None
         self._images: ImageSource | None = None
         self._opened = contextlib.ExitStack()
@@ -140,16 +142,19 @@ class Experiment:
         """What is known about a frame with these knobs; with `asking`, the rest is worked out."""
         self.use(run)
         question = Question(run, frame, tuple(self.changes.items()), self.rerun)
-        if asking and question.changes and question != self._asked:
+        if asking and question.changes and not self._answered(question):
             self._ask(question)
         view = ExperimentView(self._params, self._reference, self._revision, self.rerun)
-        answer, busy = self._answer, self._task is not None and bool(question.changes)
+        answer, busy = self._answer, self._task is not None and bool(question.changes) and not self._answered(question)
         if answer is None or answer.question.changes != question.changes:
             return replace(view, busy=busy)
         view = replace(view, judged=answer.judged)
         if answer.question != question:
             return replace(view, busy=busy)
         return replace(view, solved=answer.solved, effect=answer.effect, problem=answer.problem, busy=busy)
+
+    def _answered(self, question: Question) -> bool:
+        return self._answer is not None and self._answer.question == question
 
     @property
     def idle(self) -> bool:
@@ -167,21 +172,18 @@ class Experiment:
 
     async def _work(self) -> None:
         """Answer the latest question until there is none left."""
-        done: Question | None = None
         try:
-            while self._asked is not None and self._asked != done:
+            while self._asked is not None and not self._answered(self._asked):
                 question = self._asked
-                moved = done is None or question.frame != done.frame
                 await self._judge(question)
-                if moved:
+                if (question.run, question.frame) != self._settled:
                     await asyncio.sleep(SETTLE_S)
                     if self._asked != question:
                         continue
+                    self._settled = question.run, question.frame
                 self._tell(await asyncio.to_thread(self._solve, question, self._answer))
-                done = question
         finally:
             self._task = None
-            self._on_answer()
 
     async def _judge(self, question: Question) -> None:
         answer = self._answer

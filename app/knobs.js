@@ -25,18 +25,21 @@
     return Math.round(STEPS * Math.min(1, Math.max(0, share)));
   };
 
-  // The newest value of a knob that moves is sent at most every REST_MS, and always at the end.
+  // The newest value of a knob that moves is sent at once, then at most every REST_MS, and always at the end.
   const waiting = new Map();
-  const say = (key, v, now) => {
-    const again = waiting.has(key);
-    waiting.set(key, v);
-    if (now) flush(key);
-    else if (!again) setTimeout(() => flush(key), REST_MS);
-  };
+  let sent = 0;
   const flush = (key) => {
     if (!waiting.has(key)) return;
     vi.send({ k: "set", key, v: waiting.get(key) });
     waiting.delete(key);
+    sent = performance.now();
+  };
+  const say = (key, v, now) => {
+    const again = waiting.has(key);
+    waiting.set(key, v);
+    const rest = REST_MS - (performance.now() - sent);
+    if (now || rest <= 0) flush(key);
+    else if (!again) setTimeout(() => flush(key), rest);
   };
   const word = (v) => (v === true ? "on" : v === false ? "off" : String(v));
   const set = (row, v, now = true) => {

@@ -130,6 +130,12 @@ def _fork_row(ctx: PanelContext, seen: ExperimentView) -> Html:
     return tag("div", go, span, cls="vi-forkrow")
 
 
+def _of(seen: ExperimentView, what: str) -> Html:
+    """Which question is answered here, for whoever waits for it."""
+    words = " ".join(f"{key}={figures(value)}" for key, value in seen.changes.items())
+    return tag("i", hidden="hidden", data_of=words, **{f"data_{what}": "1"})
+
+
 # Depth one: gates of the whole run
 
 
@@ -139,6 +145,7 @@ def _judged(ctx: PanelContext, seen: ExperimentView) -> Iterator[Html]:
         yield heading("the whole run", "reading its gates …" if seen.busy else "")
         return
     yield heading("gates of the whole run", text(("from the record, ", tag("b", judged.label))), "whatif.gates")
+    yield _of(seen, "judged")
     flipped = [flips for flips in judged.gates if len(flips.now_pass) or len(flips.now_fail)]
     decisions = [d for d in judged.derived if len(d.gained) or len(d.lost)]
     n = len(ctx.run)
@@ -207,6 +214,7 @@ def _solved(ctx: PanelContext, seen: ExperimentView) -> Iterator[Html]:
     if solved is None:
         yield muted("…")
         return
+    yield _of(seen, "solved")
     yield from _decided(solved)
     if seen.effect is None:
         yield from _unsolved(solved)
