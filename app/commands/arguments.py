@@ -48,7 +48,8 @@ BackendWish = Annotated[
     arg(
         name="backend",
         help="what evaluates the factors; every choice gives the same bits. auto: compiled C when it is ready, else "
-        "NumPy (while C is compiled in the background for the next run); a fork takes what its run took",
+        "NumPy (while C is compiled in the background for the next run); a fork takes what its run took. "
+        "VINSPECT_BACKEND decides what auto leaves open",
     ),
 ]
 ParamsFile = Annotated[

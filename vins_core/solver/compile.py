@@ -127,7 +127,7 @@ def build_now() -> Kernels:
     if compiler is None:
         raise BackendError(
             "the compiled back end needs a C compiler, and neither $CC nor cc, gcc or clang is one; "
-            "install one, or use the back end numpy, which gives the same results"
+            "install one, or use `--backend numpy`, which gives the same results"
         )
     found = lookup(key_of(compiler))
     if found is None or found.problem:
@@ -137,10 +137,10 @@ def build_now() -> Kernels:
         except OSError as problem:
             raise BackendError(
                 f"the compiled back end cannot be kept in {cache_folder()} ({problem}); "
-                "set XDG_CACHE_HOME to a folder that can be written, or use the back end numpy"
+                "set XDG_CACHE_HOME to a folder that can be written, or use `--backend numpy`"
             ) from None
     if found.problem:
-        raise BackendError(f"the compiled back end cannot be used: {found.problem}; use the back end numpy")
+        raise BackendError(f"the compiled back end cannot be used: {found.problem}; use `--backend numpy`")
     return found
 
 

@@ -178,7 +178,7 @@ def test_a_library_that_differs_in_the_last_bit_is_not_used(empty_cache: Path, m
     wrong = compiled_rows.source().replace("y[k][l] *= w[l];", "y[k][l] *= w[l] * 1.0000000000000002;")
     assert wrong != compiled_rows.source()
     monkeypatch.setattr(compile, "source", lambda: wrong)
-    with pytest.raises(BackendError, match=r"differs from NumPy's by .*; use the back end numpy"):
+    with pytest.raises(BackendError, match=r"differs from NumPy's by .*; use `--backend numpy`"):
         choose("c")
     assert choose().name == NUMPY
 
