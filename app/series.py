@@ -19,7 +19,7 @@ class Event:
     """Something that happened at a frame and that one wants to find again."""
 
     frame: int
-    kind: str  # "anomaly" | "attempt" (initialisation failed) | "initialized" | "restart"
+    kind: str  # "anomaly" | "attempt" (initialisation failed) | "initialized" | "restart" | "degenerate"
     text: str  # one sentence
 
 
@@ -144,4 +144,6 @@ def _events(summaries: Sequence[FrameSummary]) -> list[Event]:
             events.append(Event(s.frame, kind, s.initialization or "initialised"))
         if s.health:
             events.append(Event(s.frame, "restart", s.health))
+        if s.degeneracy:
+            events.append(Event(s.frame, "degenerate", s.degeneracy))
     return events

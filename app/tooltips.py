@@ -286,6 +286,7 @@ _STATE = {
         "structure is built from this pair.",
         source="N2; seed 004.14",
     ),
+    "motion": Tip("motion", "Frames whose window saw no parallax: standing still or pure rotation.", source="SPEC 5.4"),
     "anomaly": Tip(
         "anomalies",
         "What a careful user wants to know about the recording: gaps, duplicates, reversals, images "
@@ -506,6 +507,13 @@ _GATES = {
         equation="|Log(q_k−1⁻¹ ⊗ q_k)|",
         unit="deg",
         source="F6",
+    ),
+    "gate.health.min_window_parallax": Tip(
+        "window parallax",
+        "Mean parallax between the newest frame and the oldest that still shares tracks with it, after the estimated "
+        "rotation. Without it new landmarks get no depth: the camera stands still or turns on the spot.",
+        unit="px460",
+        source="SPEC 5.4",
     ),
 }
 

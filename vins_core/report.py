@@ -254,6 +254,130 @@ class HealthReport:
 
     gates: tuple[Gate, ...]
     outcome: str  # "" when healthy, else one sentence
+    degeneracy: str = ""  # "" while the window sees motion, else which motion is missing: one sentence
+
+
+class LoopOutcome(StrEnum):
+    """How far a keyframe, or a pair of keyframes, came: the funnel in order (REFERENCE 16)."""
+
+    LEFT_OUT = "left out"  # at the start, or by thinning
+    TOO_RECENT = "nothing earlier"
+    FEW_LANDMARKS = "too few landmarks"
+    NOT_DISTINCTIVE = "not distinctive"
+    NOT_SIMILAR = "not similar"
+    NOT_CHOSEN = "others were preferred"
+    FEW_MATCHES = "too few matches"
+    EPIPOLAR = "epipolar geometry"
+    PNP = "pose"
+    UNCERTAIN = "pose uncertain"
+    TILT = "gravity"
+    HEADING = "heading"
+    DISTANCE = "distance"
+    ACCEPTED = "accepted"
+
+
+LOOP_OUTCOMES = tuple(LoopOutcome)
+
+
+class MatchStage(StrEnum):
+    """What became of a landmark on its way to a loop: what dropped its match, or that it supports the pose."""
+
+    FAR = "descriptor"
+    AMBIGUOUS = "ratio"
+    ONE_SIDED = "cross check"
+    EPIPOLAR = "epipolar"
+    PNP = "pose"
+    INLIER = "inlier"
+    MATCHED = "matched"  # and not looked at further
+
+
+MATCH_STAGES = tuple(MatchStage)
+"""`LoopMatches.stage` holds indices into this tuple."""
+
+
+@dataclass(frozen=True)
+class LoopMatches:
+    """One row per landmark of the later keyframe: the most similar point of the earlier one, and its fate."""
+
+    row: np.ndarray  # (n,) int32 of the earlier keyframe's points
+    hamming: np.ndarray  # (n,) uint16 bits that differ
+    ratio: np.ndarray  # (n,) float32 over the bits of the best match elsewhere
+    stage: np.ndarray  # (n,) uint8, index into MATCH_STAGES
+    error_px: np.ndarray  # (n,) float32 reprojection error at the final pose, px460; NaN without pose
+
+
+@dataclass(frozen=True)
+class LoopCandidate:
+    """A pair of keyframes that may show the same place: every gate it met, and what is known of their pose."""
+
+    query: int  # the later keyframe, counted over the session
+    match: int  # the earlier one
+    score: float
+    gates: tuple[Gate, ...]
+    outcome: LoopOutcome
+    matches: LoopMatches | None = None
+    T_match_query: np.ndarray | None = None  # (7,) p and q wxyz: the later body in the earlier one
+    covariance: np.ndarray | None = None  # (6, 6) of it, tangent (dp, dtheta): p + dp, q * Exp(dtheta)
+
+    @property
+    def accepted(self) -> bool:
+        return self.outcome is LoopOutcome.ACCEPTED
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """What the loop stage made of one keyframe."""
+
+    keyframe: int  # counted over the session
+    frame: int
+    t_ns: int
+    n_landmarks: int
+    n_points: int
+    neighbour_score: float | None  # with the previous keyframe
+    gates: tuple[Gate, ...]  # about this keyframe alone
+    candidates: tuple[LoopCandidate, ...]  # in the order of verification
+    outcome: LoopOutcome  # the furthest that it came
+
+    @property
+    def accepted(self) -> LoopCandidate | None:
+        return next((c for c in self.candidates if c.accepted), None)
+
+
+@dataclass(frozen=True)
+class GraphCost:
+    """Robust costs 1/2 sum rho(|r|^2) per kind of edge."""
+
+    sequential: float = 0.0
+    loop: float = 0.0
+
+    @property
+    def total(self) -> float:
+        return self.sequential + self.loop
+
+
+@dataclass(frozen=True)
+class PoseGraphReport:
+    """One optimisation of the pose graph (SPEC 7.3): what moved, how it converged, what each loop says.
+
+    Columns 0 and 1 of the loop arrays are before and after.  Keyframes are counted from 0 over all sessions.
+    """
+
+    dof: int  # 4 or 6
+    n_keyframes: int
+    n_free: int  # keyframes that could move
+    first_free: int  # the earliest of them, -1 if none
+    n_sequential: int  # odometry edges at free keyframes
+    loops: np.ndarray  # (l, 2) int64: earlier and later keyframe
+    forced: np.ndarray  # (l,) bool: counted without robust loss because the user asked for it
+    loop_error_m: np.ndarray  # (l, 2) distance between measured and estimated relative position
+    loop_error_deg: np.ndarray  # (l, 2) same of the rotation; about gravity with 4 DoF
+    loop_weight: np.ndarray  # (l, 2) rho': 1 = counts in full, 0 = ignored
+    before: GraphCost
+    after: GraphCost
+    iterations: tuple[IterationReport, ...]
+    termination: str
+    session: int  # of the newest keyframe
+    drift: np.ndarray  # (7,) T_graph_odometry of that session after the optimisation: (p, q wxyz)
 
 
 @dataclass(frozen=True)
@@ -315,6 +439,7 @@ class FrameSummary:
     n_anomalies: int
     pose: PoseEstimate | None
     ms: Timings
+    degeneracy: str = ""  # "" or which motion the window is missing
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
@@ -342,4 +467,5 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         n_anomalies=len(report.anomalies),
         pose=report.pose,
         ms=ms,
+        degeneracy=report.health.degeneracy if report.health else "",
     )

@@ -212,7 +212,8 @@ def _health(ctx: PanelContext) -> Html:
     title = heading("health", note)
     if health is not None:
         outcome = _outcome(health.outcome) if health.outcome else None
-        return text((title, outcome, gate_list(health.gates, failed_first=True)))
+        motion = _outcome(health.degeneracy) if health.degeneracy else None
+        return text((title, outcome, motion, gate_list(health.gates, failed_first=True)))
     restart = views.latest(ctx.run.series.events, ctx.frame, "restart")
     if restart is not None:
         return text(

@@ -12,7 +12,7 @@ from vins_core.report import Status
 from .. import views
 from ..context import PanelContext
 from ..html import Html, chip, empty, fixed, key_cap, muted, number, panel, row, strong, tag, term, text, unit
-from ..palette import BAD, CANDIDATE, ESTIMATE, LINE, OK, RAISED, TEXT
+from ..palette import BAD, CANDIDATE, ESTIMATE, IMU, LINE, OK, RAISED, TEXT
 from ..series import RunSeries
 from ..style import FACTOR_COLOURS
 from ..widgets.plot import area, mark, nice_step, svg, ticks, top_of, x_of
@@ -79,6 +79,7 @@ def _lanes(series: RunSeries) -> list[Lane]:
         lanes.append(Lane("keyframes", "keyframe", 9, ticks(series.keyframes, n, 0, 9, ESTIMATE)))
     for name, tip, kinds in (
         ("init", "attempts", ("attempt", "initialized", "restart")),
+        ("motion", "motion", ("degenerate",)),
         ("anomalies", "anomaly", ("anomaly",)),
     ):
         events = [e for e in series.events if e.kind in kinds]
@@ -92,8 +93,8 @@ def _lanes(series: RunSeries) -> list[Lane]:
     return lanes
 
 
-_EVENT_COLOURS = {"attempt": BAD, "initialized": OK, "restart": "#FFFFFF", "anomaly": TEXT}
-_EVENT_WIDTHS = {"attempt": 2.0, "initialized": 4.0, "restart": 4.0, "anomaly": 2.5}
+_EVENT_COLOURS = {"attempt": BAD, "initialized": OK, "restart": "#FFFFFF", "anomaly": TEXT, "degenerate": IMU}
+_EVENT_WIDTHS = {"attempt": 2.0, "initialized": 4.0, "restart": 4.0, "anomaly": 2.5, "degenerate": 2.0}
 
 
 def _costs(series: RunSeries, height: int) -> Html:

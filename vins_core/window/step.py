@@ -25,7 +25,7 @@ from ..report import (
 from ..sensors import Calibration, ImuNoise
 from ..solver.solve import solve
 from ..solver.trust_region import Solution
-from . import health, landmarks
+from . import degeneracy, health, landmarks
 from .assemble import Assembly, assemble, inv_depth_sigma, solve_report, unpack
 from .marginalize import NOTHING_LEFT, marginalize_oldest, marginalize_second_newest
 from .slide import drop_oldest, drop_second_newest
@@ -109,6 +109,8 @@ def estimate(
         window_report = _window_report(turn.solved, turn.report)
         pose = pose_of(turn.solved.frames[-1])
         verdict = health.check(params.health, keyframe.tracked, previous, pose)
+        gates, motion = degeneracy.check(params.health, turn.solved.frames, turn.solved.T_b_c[0][:3, :3])
+        verdict = replace(verdict, gates=(*verdict.gates, *gates), degeneracy=motion)
     done = Estimate(None, pose, turn.rejected, turn.report, window_report, landmark_report, verdict, None)
     if not all_pass(verdict.gates):
         return done
