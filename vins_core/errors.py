@@ -32,3 +32,7 @@ class BackendError(VinspectError):
 
 class RunError(VinspectError):
     """A run record is missing, damaged beyond its last frame, or written by an incompatible version."""
+
+
+class MapError(VinspectError):
+    """A map is missing, damaged, of another camera, or written by an incompatible version."""
