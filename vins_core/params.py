@@ -231,6 +231,12 @@ class Health:
     max_jump_m: Annotated[float, Range(0.1, 100), Doc("translation between frames (F4)", "m")] = 5.0
     max_z_jump_m: Annotated[float, Range(0.1, 100), Doc("vertical translation between frames (F5)", "m")] = 1.0
     max_rotation_deg: Annotated[float, Range(1, 180), Doc("rotation between frames (F6, advisory)", "deg")] = 50.0
+    min_window_parallax: Annotated[
+        float, Range(0, 50), Doc("parallax over the window without its rotation (advisory)", "px460")
+    ] = 3.0
+    still_rotation_deg: Annotated[
+        float, Range(0.1, 90), Doc("rotation over the window that tells turning from standing still", "deg")
+    ] = 3.0
 
 
 @dataclass(frozen=True)
@@ -268,6 +274,72 @@ class PoseGraph:
 
 
 @dataclass(frozen=True)
+class Loop:
+    """Loop closure: which keyframes are described, retrieved, and what verifies them (REFERENCE 15, 16)."""
+
+    max_corners: Annotated[int, Range(0, 3000), Doc("FAST corners described beside the tracks (seed 004.24: 500)")] = (
+        500
+    )
+    skip_first: Annotated[int, Range(0, 100), Doc("keyframes left out at the start (parity: 10)")] = 0
+    every: Annotated[int, Range(1, 20), Doc("one keyframe of so many is used (seed 000: 3)")] = 1
+    min_spacing_m: Annotated[float, Range(0, 10), Doc("motion since the last keyframe used", "m")] = 0.0
+    min_gap: Annotated[int, Range(1, 1000), Doc("keyframes that must lie between two that are matched")] = (
+        50
+    )
+    candidates: Annotated[int, Range(1, 50), Doc("how many keyframes of the highest scores are looked at")] = 4
+    order: Annotated[
+        Literal["best", "oldest"],
+        Doc("candidates are verified from the highest score down, or only the earliest of them is (parity)"),
+    ] = "best"
+    score: Annotated[
+        Literal["relative", "absolute"],
+        Doc("scores are judged against the score with the previous keyframe, or as they are (parity)"),
+    ] = "relative"
+    min_score_ratio: Annotated[
+        float, Range(0, 1), Doc("score of a candidate over the score with the previous keyframe, when relative")
+    ] = 0.1
+    min_score: Annotated[
+        float, Range(0, 1), Doc("score of a candidate, when absolute (VINS: 0.015); 0: what the vocabulary says")
+    ] = 0.0
+    min_neighbour_score: Annotated[
+        float, Range(0, 1), Doc("highest score of any keyframe (VINS: 0.05); 0: what the vocabulary says")
+    ] = 0.0
+    max_hamming: Annotated[int, Range(10, 128), Doc("bits two matched descriptors may differ in (parity: 79)")] = 60
+    max_ratio: Annotated[
+        float, Range(0.3, 1), Doc("differing bits over those of the best match elsewhere (parity: 1, off)")
+    ] = 0.85
+    cross_check: Annotated[bool, Doc("a match must be the best from both sides (parity: off)")] = True
+    min_matches: Annotated[int, Range(6, 200), Doc("landmarks matched (VINS: 26)")] = 20
+    epipolar: Annotated[
+        Literal["essential", "fundamental", "off"], Doc("epipolar RANSAC over the matches (VINS: off)")
+    ] = "essential"
+    epipolar_px: Annotated[
+        float, Range(0.5, 20), Doc("largest distance to the epipolar line (seed 000: 5; VINS: 3)", "px460")
+    ] = 5.0
+    epipolar_confidence: Annotated[float, Range(0.5, 0.9999), Doc("RANSAC confidence (VINS: 0.9)")] = 0.99
+    min_epipolar: Annotated[int, Range(6, 200), Doc("matches that agree on one epipolar geometry")] = 20
+    pnp_px: Annotated[float, Range(1, 20), Doc("largest reprojection error of an inlier (parity: 10)", "px460")] = 6.0
+    min_inliers: Annotated[int, Range(6, 200), Doc("landmarks that agree with the final pose (VINS: 26)")] = 20
+    max_rms_px: Annotated[float, Range(0.5, 20), Doc("rms reprojection error of the inliers (parity: 20)", "px460")] = (
+        4.0
+    )
+    max_sigma_m: Annotated[
+        float, Range(0.001, 100), Doc("standard deviation of the relative position (parity: 100)", "m")
+    ] = 0.3
+    max_tilt_deg: Annotated[
+        float,
+        Range(0.1, 180),
+        Doc("angle between gravity as the earlier keyframe knew it and as the pose says (parity: 180)", "deg"),
+    ] = 5.0
+    heading: Annotated[
+        Literal["gravity", "euler"],
+        Doc("heading difference: rotation about gravity, or difference of Euler yaws of the body (parity)"),
+    ] = "gravity"
+    max_heading_deg: Annotated[float, Range(1, 180), Doc("heading difference (VINS: 30)", "deg")] = 45.0
+    max_distance_m: Annotated[float, Range(0.1, 1000), Doc("distance between the keyframes (VINS: 20)", "m")] = 20.0
+
+
+@dataclass(frozen=True)
 class Params:
     frontend: Frontend = field(default_factory=Frontend)
     imu: Imu = field(default_factory=Imu)
@@ -277,6 +349,7 @@ class Params:
     solver: Solver = field(default_factory=Solver)
     marginalization: Marginalization = field(default_factory=Marginalization)
     health: Health = field(default_factory=Health)
+    loop: Loop = field(default_factory=Loop)
     pose_graph: PoseGraph = field(default_factory=PoseGraph)
 
 

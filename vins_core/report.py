@@ -254,6 +254,93 @@ class HealthReport:
 
     gates: tuple[Gate, ...]
     outcome: str  # "" when healthy, else one sentence
+    degeneracy: str = ""  # "" while the window sees motion, else which motion is missing: one sentence
+
+
+class LoopOutcome(StrEnum):
+    """How far a keyframe, or a pair of keyframes, came: the funnel in order (REFERENCE 16)."""
+
+    LEFT_OUT = "left out"  # at the start, or by thinning
+    TOO_RECENT = "nothing earlier"
+    FEW_LANDMARKS = "too few landmarks"
+    NOT_DISTINCTIVE = "not distinctive"
+    NOT_SIMILAR = "not similar"
+    NOT_CHOSEN = "others were preferred"
+    FEW_MATCHES = "too few matches"
+    EPIPOLAR = "epipolar geometry"
+    PNP = "pose"
+    UNCERTAIN = "pose uncertain"
+    TILT = "gravity"
+    HEADING = "heading"
+    DISTANCE = "distance"
+    ACCEPTED = "accepted"
+
+
+LOOP_OUTCOMES = tuple(LoopOutcome)
+
+
+class MatchStage(StrEnum):
+    """What became of a landmark on its way to a loop: what dropped its match, or that it supports the pose."""
+
+    FAR = "descriptor"
+    AMBIGUOUS = "ratio"
+    ONE_SIDED = "cross check"
+    EPIPOLAR = "epipolar"
+    PNP = "pose"
+    INLIER = "inlier"
+    MATCHED = "matched"  # and not looked at further
+
+
+MATCH_STAGES = tuple(MatchStage)
+"""`LoopMatches.stage` holds indices into this tuple."""
+
+
+@dataclass(frozen=True)
+class LoopMatches:
+    """One row per landmark of the later keyframe: the most similar point of the earlier one, and its fate."""
+
+    row: np.ndarray  # (n,) int32 of the earlier keyframe's points
+    hamming: np.ndarray  # (n,) uint16 bits that differ
+    ratio: np.ndarray  # (n,) float32 over the bits of the best match elsewhere
+    stage: np.ndarray  # (n,) uint8, index into MATCH_STAGES
+    error_px: np.ndarray  # (n,) float32 reprojection error at the final pose, px460; NaN without pose
+
+
+@dataclass(frozen=True)
+class LoopCandidate:
+    """A pair of keyframes that may show the same place: every gate it met, and what is known of their pose."""
+
+    query: int  # the later keyframe, counted over the session
+    match: int  # the earlier one
+    score: float
+    gates: tuple[Gate, ...]
+    outcome: LoopOutcome
+    matches: LoopMatches | None = None
+    T_match_query: np.ndarray | None = None  # (7,) p and q wxyz: the later body in the earlier one
+    covariance: np.ndarray | None = None  # (6, 6) of it, tangent (dp, dtheta): p + dp, q * Exp(dtheta)
+
+    @property
+    def accepted(self) -> bool:
+        return self.outcome is LoopOutcome.ACCEPTED
+
+
+@dataclass(frozen=True)
+class LoopReport:
+    """What the loop stage made of one keyframe."""
+
+    keyframe: int  # counted over the session
+    frame: int
+    t_ns: int
+    n_landmarks: int
+    n_points: int
+    neighbour_score: float | None  # with the previous keyframe
+    gates: tuple[Gate, ...]  # about this keyframe alone
+    candidates: tuple[LoopCandidate, ...]  # in the order of verification
+    outcome: LoopOutcome  # the furthest that it came
+
+    @property
+    def accepted(self) -> LoopCandidate | None:
+        return next((c for c in self.candidates if c.accepted), None)
 
 
 @dataclass(frozen=True)
@@ -352,6 +439,7 @@ class FrameSummary:
     n_anomalies: int
     pose: PoseEstimate | None
     ms: Timings
+    degeneracy: str = ""  # "" or which motion the window is missing
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
@@ -379,4 +467,5 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         n_anomalies=len(report.anomalies),
         pose=report.pose,
         ms=ms,
+        degeneracy=report.health.degeneracy if report.health else "",
     )
