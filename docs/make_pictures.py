@@ -1,0 +1,165 @@
+"""The pictures of the documentation: makes the runs, opens them in headless Chromium, and photographs the page.
+
+    python docs/make_pictures.py [overview] [why]       # both by default; Debian's chromium is needed
+
+Whatever the page shows is computed here and now, by the commands that the documentation names.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from app.__main__ import main as vinspect  # isort: skip  # first: one BLAS thread before numpy is imported
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Page, sync_playwright
+
+from app.runs import open_path
+from app.server import Server, sample
+from app.session import Session
+
+IMAGES = Path(__file__).parent / "images"
+SIZE = {"width": 1600, "height": 950}
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--no-first-run"]
+SETTLE_MS = 4000
+"""After the last change: docks glide, and the 3D view is drawn in software."""
+
+
+class Studio:
+    """One run in one tab."""
+
+    def __init__(self, page: Page, server: Server) -> None:
+        self.page, self.server = page, server
+
+    @property
+    def session(self) -> Session:
+        return next(iter(self.server.sessions.values()))
+
+    def go(self, frame: int) -> None:
+        self.page.evaluate(f"vi.send({{k: 'frame', i: {frame}}})")
+        self.page.locator(f"[data-vip=timeline] [data-frame='{frame}']").first.wait_for()
+
+    def tab(self, name: str) -> None:
+        self.page.get_by_role("tab", name=name, exact=True).click()
+
+    def select(self, track: int) -> None:
+        self.page.evaluate(f"vi.send({{k: 'pick', t: 'track', i: {track}}})")
+
+    def until(self, holds: Callable[[], bool], seconds: float = 120) -> None:
+        for _ in range(int(seconds / 0.1)):
+            if holds():
+                return
+            self.page.wait_for_timeout(100)
+        raise TimeoutError(f"not within {seconds:g} s")
+
+    def photograph(self, name: str) -> None:
+        s = self.session
+        self.page.wait_for_timeout(500)
+        self.until(lambda: s.idle and s.experiment.idle and s.comparer.idle)
+        self.page.mouse.move(800, 2)
+        self.page.wait_for_timeout(SETTLE_MS)
+        save(self.page.screenshot(), IMAGES / f"{name}.png")
+
+
+def save(png: bytes, path: Path) -> None:
+    """With 256 colours, a quarter of the size.  Median cut would blend the few yellow pixels that mean "selected"."""
+    image = Image.open(io.BytesIO(png)).convert("RGB")
+    few = image.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
+    print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")
+
+
+@contextmanager
+def studio(run: Path) -> Iterator[Studio]:
+    executable = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if executable is None:
+        raise SystemExit("chromium is not installed (Debian: apt-get install chromium)")
+    server = Server(open_path(run), port=8740)
+    try:
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=executable, headless=True, args=ARGUMENTS)
+            page = browser.new_context(viewport=SIZE).new_page()  # type: ignore[arg-type]
+            page.set_default_timeout(60_000)
+            page.goto(server.url)
+            page.locator("[data-vip=camera] img").first.wait_for()
+            notice = page.locator(".mantine-Notification-root", has_text="Software WebGL")
+            notice.locator("button").first.click()
+            notice.wait_for(state="detached")
+            yield Studio(page, server)
+            browser.close()
+    finally:
+        server.stop()
+
+
+def command(*arguments: str | Path) -> None:
+    print("vinspect", *arguments, flush=True)
+    if vinspect([str(a) for a in arguments]):
+        raise SystemExit("a command failed")
+
+
+def overview(folder: Path) -> None:
+    """The bundled sample well into its lap, with the landmark that most frames of the window see."""
+    recording, calibration = sample()
+    command("run", recording, "--calib", calibration[0], "--out", folder / "room_loop")
+    with studio(folder / "room_loop") as s:
+        s.go(172)
+        assert s.session.opened.view is not None
+        report = s.session.opened.view.report(172)
+        marks = report.landmarks
+        assert marks is not None
+        alive = np.isin(marks.ids, report.tracks.ids) & np.isfinite(marks.error_px)
+        s.select(int(marks.ids[np.argmax(np.where(alive, marks.n_obs, 0))]))
+        s.photograph("overview")
+
+
+def why(folder: Path) -> None:
+    """The pictures of why-it-drifted.md, in its order."""
+    command("simulate", "imu_gap", "--out", folder / "gap", "--format", "asl")
+    command("run", folder / "gap", "--set", "imu.gap_s=10", "--out", folder / "drifted")
+    with studio(folder / "drifted") as s:
+        s.go(140)
+        s.photograph("why-1-symptom")
+        s.go(97)
+        s.photograph("why-2-frame")
+        s.tab("Gates")
+        s.photograph("why-3-gates")
+        s.tab("Inspect")
+        s.page.get_by_role("button", name="Is this the optimum?").click()
+        answer = s.page.locator("[data-optimum]")
+        answer.wait_for()
+        answer.scroll_into_view_if_needed()
+        s.photograph("why-4-optimum")
+        s.page.keyboard.press("Alt+4")
+        s.go(120)
+        s.photograph("why-5-prior")
+        s.page.keyboard.press("Alt+1")
+        s.go(97)
+        s.tab("What-if")
+        s.page.evaluate("vi.send({k: 'set', key: 'imu.gap_s', v: 0.05})")
+        s.until(lambda: bool(s.session.experiment.changes))
+        s.photograph("why-6-what-if")
+        s.page.keyboard.press("Control+Enter")
+        s.until(lambda: s.session.other is not None and not s.session.other.growing)
+        s.page.keyboard.press("Alt+5")
+        s.go(140)
+        s.photograph("why-7-compare")
+
+
+PICTURES = {"overview": overview, "why": why}
+
+if __name__ == "__main__":
+    wanted = sys.argv[1:] or list(PICTURES)
+    with tempfile.TemporaryDirectory() as work:
+        os.environ["XDG_CACHE_HOME"] = str(Path(work) / "cache")  # forks go there, and no other runs are listed
+        for name in wanted:
+            folder = Path(work) / name
+            folder.mkdir()
+            PICTURES[name](folder)
