@@ -34,5 +34,9 @@ class RunError(VinspectError):
     """A run record is missing, damaged beyond its last frame, or written by an incompatible version."""
 
 
+class VocabularyError(VinspectError):
+    """A vocabulary or its pattern file is missing, damaged, or belongs to other descriptors."""
+
+
 class MapError(VinspectError):
     """A map is missing, damaged, of another camera, or written by an incompatible version."""

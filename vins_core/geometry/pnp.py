@@ -48,6 +48,16 @@ def solve_pnp(points_w: np.ndarray, rays_c: np.ndarray, T_w_c_guess: np.ndarray,
     return solved
 
 
+def pose_covariance(T_w_c: np.ndarray, points_w: np.ndarray, rays_c: np.ndarray, sigma_rad: float) -> np.ndarray:
+    """(6, 6) covariance of a pose from PnP for rays of that deviation; tangent (dp, dtheta): p + dp, R Exp(dtheta).
+
+    The inverse of J^T J / sigma^2 with J of the miss that `solve_pnp` minimises; the points count as exact.
+    """
+    J = _jacobian(T_w_c, se3.transform(se3.inverse(T_w_c), points_w), tangent_basis(rays_c)).reshape(-1, 6)
+    H = J.T @ J
+    return np.linalg.inv(H + 1e-12 * np.trace(H) * np.eye(6)) * sigma_rad**2  # large, not infinite, where undetermined
+
+
 def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_rad: float, iterations: int = 20) -> Pnp:
     """Levenberg-Marquardt on the six pose parameters, R <- R Exp(d)."""
     basis = tangent_basis(rays_c)
@@ -63,11 +73,7 @@ def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_r
     local, r, squared, cost = evaluate(T)
     damping = 1e-4
     for _ in range(iterations):
-        distance = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
-        unit = local / distance[:, None]
-        project = (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / distance[:, None, None]
-        A = np.einsum("nij,nik->njk", basis, project)  # (n, 2, 3) d r / d local
-        J = np.concatenate([-A @ T[:3, :3].T, A @ so3.skew(local)], -1)
+        J = _jacobian(T, local, basis)
         weight = 1.0 / (1.0 + squared)
         JtW = (J * weight[:, None, None]).reshape(-1, 6).T
         H, g = JtW @ J.reshape(-1, 6), JtW @ r.ravel()
@@ -86,6 +92,15 @@ def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_r
     inlier = squared < 9.0
     rms = threshold_rad * np.sqrt(np.mean(squared[inlier])) if inlier.any() else np.inf
     return Pnp(T, inlier, float(rms))
+
+
+def _jacobian(T: np.ndarray, local: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """(n, 2, 6) of B(ray)^T normalised(local) with local = R^T (p - t)."""
+    distance = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
+    unit = local / distance[:, None]
+    project = (np.eye(3) - unit[:, :, None] * unit[:, None, :]) / distance[:, None, None]
+    A = np.einsum("nij,nik->njk", basis, project)  # (n, 2, 3) d r / d local
+    return np.concatenate([-A @ T[:3, :3].T, A @ so3.skew(local)], -1)
 
 
 def _ransac(points_w: np.ndarray, rays_c: np.ndarray, threshold_rad: float) -> np.ndarray | None:

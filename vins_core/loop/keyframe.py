@@ -1,0 +1,114 @@
+"""A keyframe as the loop stage keeps it, and the store of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry import se3
+from ..geometry.camera import CameraModel
+from ..window.assemble import gather_tracks
+from ..window.landmarks import camera_poses
+from ..window.state import TRIANGULATED, WindowState
+from .describe import Describer
+from .vocabulary import BagOfWords, Vocabulary
+
+
+@dataclass(frozen=True)
+class LoopKeyframe:
+    """Points and pose of one keyframe; immutable.
+
+    Its points are, in this order: `n_landmarks` tracks whose position the window knows, the other tracks, FAST corners.
+    Positions and pose are those of the window when the keyframe was chosen, in the odometry's world (REFERENCE L1).
+    """
+
+    frame: int
+    t_ns: int
+    T_w_b: np.ndarray  # (7,) p and q wxyz
+    T_b_c: np.ndarray  # (4, 4)
+    track_ids: np.ndarray  # (tracks,) int64, of the first points
+    points_w: np.ndarray  # (n_landmarks, 3) m
+    uv_px: np.ndarray  # (n, 2) float32
+    rays: np.ndarray  # (n, 3) float32, unit rays in the camera
+    descriptors: np.ndarray  # (n, 32) uint8
+    bag: BagOfWords
+
+    @property
+    def n_landmarks(self) -> int:
+        return len(self.points_w)
+
+    @property
+    def T_w_c(self) -> np.ndarray:
+        """(4, 4)"""
+        return se3.from_quaternion_translation(self.T_w_b[3:], self.T_w_b[:3]) @ self.T_b_c
+
+
+def describe_keyframe(
+    window: WindowState,
+    slot: int,
+    camera: CameraModel,
+    image: np.ndarray,
+    describer: Describer,
+    vocabulary: Vocabulary,
+    max_corners: int,
+    usable: np.ndarray | None = None,
+) -> LoopKeyframe:
+    """The keyframe in a slot of the window; `image` is its image as recorded.
+
+    Landmarks are the tracks it sees that are triangulated and anchored in an earlier slot (REFERENCE L1).
+    Raises VocabularyError when the vocabulary was made for other descriptors.
+    """
+    vocabulary.require(describer.name)
+    frame = window.frames[slot]
+    ids, points_w = landmarks_seen(window, slot)
+    seen = frame.observations
+    known = np.searchsorted(seen.ids, ids)
+    order = np.concatenate([known, np.setdiff1d(np.arange(len(seen)), known)])
+    features = describer(image, seen.uv_px[order], max_corners, usable)
+    rays = np.concatenate([seen.rays[order], camera.lift(features.uv_px[len(order) :])])
+    in_view = np.isfinite(rays).all(1)  # tracks always are: they live where the lens shows something
+    return LoopKeyframe(
+        frame.frame,
+        frame.t_ns,
+        np.concatenate([frame.p_w_b, frame.q_w_b]),
+        window.T_b_c[0],
+        seen.ids[order],
+        points_w,
+        features.uv_px[in_view],
+        rays[in_view].astype(np.float32),
+        features.descriptors[in_view],
+        vocabulary.bag_of(features.descriptors[in_view]),
+    )
+
+
+def landmarks_seen(window: WindowState, slot: int) -> tuple[np.ndarray, np.ndarray]:
+    """Ids (n,) and positions (n, 3) of the landmarks that the frame in `slot` sees, increasing in id."""
+    tracks, table = gather_tracks(window.frames), window.landmarks
+    row = np.searchsorted(table.ids, tracks.ids)
+    inv_depth = np.where(table.status[row] == TRIANGULATED, table.inv_depth[row], np.nan)
+    usable = (inv_depth > 0) & (tracks.anchor < slot)
+    usable &= np.isin(tracks.ids, window.frames[slot].observations.ids, assume_unique=True)
+    rays = tracks.rays[tracks.start[:-1]][usable]
+    points_c = rays / (rays[:, 2:] * inv_depth[usable, None])
+    return tracks.ids[usable], se3.transform(camera_poses(window)[tracks.anchor[usable]], points_c)
+
+
+class Keyframes(Sequence[LoopKeyframe]):
+    """A list that only grows, shared by all states of a run: each of them refers to a beginning of it."""
+
+    def __init__(self, keyframes: Iterable[LoopKeyframe] = ()) -> None:
+        self._all = list(keyframes)
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __getitem__(self, k):
+        return self._all[k]
+
+    def extended(self, n: int, keyframe: LoopKeyframe) -> Keyframes:
+        """The first n and one more: this list itself when it has no others, else a list of its own (a fork)."""
+        store = self if n == len(self._all) else Keyframes(self._all[:n])
+        store._all.append(keyframe)
+        return store

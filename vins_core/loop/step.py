@@ -1,0 +1,177 @@
+"""The loop stage on a page: admit, retrieve, verify, decide, remember (REFERENCE 15, 16).
+
+The state is immutable: a store of keyframes that only grows, an index, and how many keyframes were offered so far.
+On-line a keyframe costs the gates up to its decision; `evaluate_all` computes every value there is, to say what would
+have accepted it.  Both give the same decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..params import Loop
+from ..report import LOOP_OUTCOMES, Gate, LoopCandidate, LoopOutcome, LoopReport, all_pass
+from . import gates
+from .index import InvertedIndex
+from .keyframe import Keyframes, LoopKeyframe
+from .verify import Pair, verify
+from .vocabulary import ScoreLimits
+
+
+@dataclass(frozen=True)
+class LoopState:
+    """What the loop stage carries from keyframe to keyframe."""
+
+    keyframes: Keyframes  # shared by all states of a run; the first len(state) belong to this one
+    index: InvertedIndex
+    limits: ScoreLimits  # of the vocabulary
+    seen: int = 0  # keyframes offered so far, used or not
+    since: int = 0  # of them from the last one used on
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def begin(limits: ScoreLimits) -> LoopState:
+    """The state before the first keyframe."""
+    return LoopState(Keyframes(), InvertedIndex(), limits)
+
+
+def admit(params: Loop, state: LoopState, p_w_b: np.ndarray) -> tuple[LoopState, tuple[Gate, ...]]:
+    """Is a keyframe at this position used at all?  Asked before it is described (L3, L4)."""
+    judged: tuple[Gate, ...] = (gates.start(params, state.seen),)
+    if len(state):
+        moved_m = float(np.linalg.norm(p_w_b - state.keyframes[len(state) - 1].T_w_b[:3]))
+        judged += (gates.every(params, state.since), gates.spacing(params, moved_m))
+    return replace(state, seen=state.seen + 1, since=state.since + 1), judged
+
+
+def detect(params: Loop, state: LoopState, keyframe: LoopKeyframe, evaluate_all: bool = False) -> LoopReport:
+    """The loops of a keyframe that is about to be remembered.  Pure."""
+    query = len(state)
+    scores = state.index.scores(keyframe.bag)
+    order = np.argsort(-scores[: _eligible(params, query)], kind="stable")[: params.candidates]
+    if params.order == "oldest":
+        order = np.sort(order)
+    own = _own_gates(params, state.limits, keyframe, scores)
+    candidates: list[LoopCandidate] = []
+    for match in order.tolist() if evaluate_all or all_pass(own) else ():
+        pair = _pair(params, state, keyframe, scores, match)
+        done = any(c.accepted for c in candidates) and not evaluate_all
+        candidates.append(_unverified(pair) if done else verify(params, pair, evaluate_all))
+    return decide(_report(query, keyframe, scores, own), candidates)
+
+
+def examine(params: Loop, state: LoopState, query: int, match: int) -> LoopReport:
+    """Why are these two keyframes no loop?  Every gate of the pair, whether retrieval proposed it or not.
+
+    Raises IndexError unless 0 <= match < query < len(state).
+    """
+    if not 0 <= match < query < len(state):
+        raise IndexError(f"keyframes {match} and {query}: expected 0 <= match < query < {len(state)}")
+    keyframe = state.keyframes[query]
+    scores = state.index.scores(keyframe.bag)[:query]
+    own = _own_gates(params, state.limits, keyframe, scores)
+    pair = _pair(params, state, keyframe, scores, match)
+    return decide(_report(query, keyframe, scores, own), [verify(params, pair, evaluate_all=True)])
+
+
+def remember(state: LoopState, keyframe: LoopKeyframe) -> LoopState:
+    """The state with the keyframe in it."""
+    keyframes = state.keyframes.extended(len(state), keyframe)
+    return replace(state, keyframes=keyframes, index=state.index.add(keyframe.bag), since=1)
+
+
+def decide(report: LoopReport, candidates: Iterable[LoopCandidate]) -> LoopReport:
+    """The verdicts that follow from the gates: the first candidate that passes all of them is the loop."""
+    own = gates.outcome(report.gates)
+    judged: list[LoopCandidate] = []
+    for candidate in candidates:
+        verdict = gates.outcome(candidate.gates)
+        if verdict is LoopOutcome.ACCEPTED:
+            if own is not LoopOutcome.ACCEPTED:
+                verdict = own
+            elif any(c.accepted for c in judged):
+                verdict = LoopOutcome.NOT_CHOSEN
+        judged.append(replace(candidate, outcome=verdict))
+    if own is LoopOutcome.ACCEPTED:
+        own = max((c.outcome for c in judged), key=LOOP_OUTCOMES.index, default=LoopOutcome.TOO_RECENT)
+    return replace(report, candidates=tuple(judged), outcome=own)
+
+
+def retrieval_gates(
+    params: Loop,
+    limits: ScoreLimits,
+    neighbour: float | None,
+    between: int,
+    score: float,
+    rank: int,
+    rivals: Iterable[float] = (),
+) -> tuple[Gate, ...]:
+    """What retrieval says of a candidate; `rivals` are the scores of earlier keyframes that are candidates too."""
+    judged: tuple[Gate, ...] = (
+        gates.between(params, between),
+        gates.score(params, score, neighbour, limits),
+        gates.rank(params, rank),
+    )
+    if params.order == "oldest":
+        ahead = sum(gates.score(params, rival, neighbour, limits).passed for rival in rivals)
+        judged += (gates.earlier_candidates(ahead),)
+    return judged
+
+
+def _eligible(params: Loop, query: int) -> int:
+    """How many keyframes, from the first on, lie far enough before this one."""
+    return max(query - params.min_gap, 0)
+
+
+def _pair(params: Loop, state: LoopState, keyframe: LoopKeyframe, scores: np.ndarray, match: int) -> Pair:
+    query, mine = len(scores), scores[match]
+    eligible = scores[: _eligible(params, query)]
+    rank = 1 + np.count_nonzero(eligible > mine) + np.count_nonzero(eligible[:match] == mine)
+    best = np.argsort(-eligible, kind="stable")[: params.candidates]
+    judged = retrieval_gates(
+        params,
+        state.limits,
+        neighbour_score(scores),
+        query - match - 1,
+        float(mine),
+        int(rank),
+        scores[best[best < match]],
+    )
+    return Pair(query, match, keyframe, state.keyframes[match], float(mine), judged)
+
+
+def neighbour_score(scores: np.ndarray) -> float | None:
+    """With the previous keyframe; None for the first."""
+    return float(scores[-1]) if len(scores) else None
+
+
+def _own_gates(params: Loop, limits: ScoreLimits, keyframe: LoopKeyframe, scores: np.ndarray) -> tuple[Gate, ...]:
+    known = np.append(scores[: _eligible(params, len(scores))], scores[-1:])
+    return (
+        gates.landmarks(params, keyframe.n_landmarks),
+        gates.between(params, len(scores) - 1),
+        gates.distinctive(params, float(known.max()) if len(known) else None, limits),
+    )
+
+
+def _report(query: int, keyframe: LoopKeyframe, scores: np.ndarray, own: tuple[Gate, ...]) -> LoopReport:
+    return LoopReport(
+        query,
+        keyframe.frame,
+        keyframe.t_ns,
+        keyframe.n_landmarks,
+        len(keyframe.uv_px),
+        neighbour_score(scores),
+        own,
+        (),
+        LoopOutcome.TOO_RECENT,
+    )
+
+
+def _unverified(pair: Pair) -> LoopCandidate:
+    return LoopCandidate(pair.query, pair.match, pair.score, pair.retrieval, gates.outcome(pair.retrieval))
