@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from vins_core.params import DECLARATIONS, Declaration
+from vins_core.params import OFFERED, Declaration
 
 Recording = Positional[
     Annotated[Path, arg(metavar="RECORDING", help="ROS 1 .bag, ROS 2 bag (folder, .db3, .mcap) or EuRoC folder")]
@@ -39,7 +39,7 @@ Settings = Annotated[
         name="set",
         metavar="SECTION.NAME=VALUE",
         help="a parameter, winning over the calibration file's; with their defaults these are:\n"
-        + "\n".join(describe(d) for d in DECLARATIONS.values())
+        + "\n".join(describe(d) for d in OFFERED.values())
         + "\n",
     ),
 ]
