@@ -142,6 +142,8 @@ class Experiment:
         """What is known about a frame with these knobs; with `asking`, the rest is worked out."""
         self.use(run)
         question = Question(run, frame, tuple(self.changes.items()), self.rerun)
+        if asking and question.changes and run.gates.frames == len(run):
+            self._judge_now(question)
         if asking and question.changes and not self._answered(question):
             self._ask(question)
         view = ExperimentView(self._params, self._reference, self._revision, self.rerun)
@@ -186,14 +188,20 @@ class Experiment:
             self._task = None
 
     async def _judge(self, question: Question) -> None:
-        answer = self._answer
-        if answer is not None and answer.question.run is question.run and answer.question.changes == question.changes:
-            return
+        """Read the run's gates, as far as they are not known, and judge them again."""
         while self._asked is not None and self._asked.run is question.run:
             if not await asyncio.to_thread(question.run.read_gates):
                 break
-        judged = question.run.gates.reevaluate(dict(question.changes))
-        self._tell(Answer(replace(question, frame=-1), judged))
+        if self._judge_now(question):
+            self._on_answer()
+
+    def _judge_now(self, question: Question) -> bool:
+        """A few milliseconds; False when it was done already."""
+        answer = self._answer
+        if answer is not None and answer.question.run is question.run and answer.question.changes == question.changes:
+            return False
+        self._answer = Answer(replace(question, frame=-1), question.run.gates.reevaluate(dict(question.changes)))
+        return True
 
     def _tell(self, answer: Answer) -> None:
         self._answer = answer

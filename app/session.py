@@ -71,9 +71,9 @@ class Session:
     def __init__(self, client: viser.ClientHandle, runs: RunStore | OpenRun, layouts: list[Layout]) -> None:
         self.store = runs if isinstance(runs, RunStore) else RunStore(runs)
         self.opened = opened = self.store.first
-        self.experiment = Experiment(self.refresh)
+        self.experiment = Experiment(lambda: self.refresh("what_if", "camera", "scene"))
         self.comparer = Comparer(self.refresh)
-        self.optimum = Optimum(self.refresh)
+        self.optimum = Optimum(lambda: self.refresh("inspect"))
         self.fork_frames = 0  # 0: to the end
         self.want, self.shown = 0, -1
         self.selection = Selection()
@@ -83,6 +83,7 @@ class Session:
         self._layouts = layouts
         self._visible: set[str] = set()
         self._stale, self._closed = True, False
+        self._parts: set[str] | None = None  # what is stale; None: everything
         self._wake = asyncio.Event()
         self._fitted = 0
         self._unit_m = 0.0
@@ -170,7 +171,7 @@ class Session:
             self.experiment.set(key, value)
         except VinspectError as problem:
             self._tell(key, str(problem))
-        self.refresh()
+        self.refresh("what_if")
 
     def save_parameters(self) -> None:
         """Give the changed parameters to the browser as a file for `--params`."""
@@ -184,8 +185,15 @@ class Session:
             self._tell("Not loaded", str(problem))
         self.refresh()
 
-    def refresh(self) -> None:
-        """Draw the shown frame again: something beside the frame number changed."""
+    def refresh(self, *parts: str) -> None:
+        """Draw the shown frame again: something beside the frame number changed.
+
+        `parts` are KEYs of the panels concerned and "scene"; without any, everything.
+        """
+        if not parts:
+            self._parts = None
+        elif self._parts is not None:
+            self._parts |= set(parts)
         self._stale = True
         self._wake.set()
 
@@ -501,14 +509,15 @@ class Session:
                 for panel in self.panels.values():
                     panel.say(self.opened.error or self.opened.doing or "This run has no frames.")
                 return
+            parts, self._parts = self._parts if k == self.shown else None, set()
             self.shown = k
             ctx = self._context(run, k)
             link = f"run={self.opened.id}&frame={k}&layout={self.layout.name}"
             set_content(self._link, str(tag("i", hidden="hidden", data_link=link)))
             for panel in self.panels.values():
-                if panel.key in self._visible:
+                if panel.key in self._visible and (parts is None or panel.key in parts):
                     panel.render(ctx)
-            frame = self._scene_frame(k)
+            frame = self._scene_frame(k) if parts is None or "scene" in parts else None
             if frame is not None:
                 solved = ctx.experiment.solved if ctx.experiment else None
                 frame = replace(frame, other=ctx.other, resolved=solved.after.window if solved else None)

@@ -80,7 +80,7 @@ def measure(
     arguments = [key, list(places), wanted]
     page.evaluate(f"vi.send({{k: 'set', key: '{key}', v: null}})")
     page.get_by_role("slider", name=key).fill(str(places[1]))
-    page.locator(wanted).first.wait_for()
+    page.locator(wanted).first.wait_for(state="attached")
     page.wait_for_timeout(1500)
     benchmark.pedantic(lambda: taken.append(page.evaluate(MOVED, arguments)), rounds=25, warmup_rounds=3)
     report(benchmark, taken, limit)
@@ -105,7 +105,7 @@ def test_slider_to_gates_of_the_run(benchmark: BenchmarkFixture, page: Page) -> 
 
 
 def test_step_while_a_fork_runs(benchmark: BenchmarkFixture, page: Page) -> None:
-    page.get_by_role("tab", name="Inspect").click()
+    page.get_by_role("tab", name="Inspect", exact=True).click()
     page.evaluate("vi.send({k: 'frame', i: 20})")
     wait_for_frame(page, 20)
     page.evaluate("vi.send({k: 'set', key: 'window.max_iterations', v: 60})")
