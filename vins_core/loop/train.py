@@ -25,7 +25,10 @@ MAX_LEVELS = 6
 PER_WORD = 10
 """How deep the tree is: the fewest levels with room for words of no more descriptors than this."""
 ITERATIONS = 6
-TRAINING_IMAGES, TRAINING_CORNERS, MIN_STRIDE_S = 200, 400, 0.2
+TRAINING_CORNERS = 400
+FEW_IMAGES, MANY_IMAGES = 200, 600
+MIN_STRIDE_S, MAX_STRIDE_S = 0.2, 6.0
+"""Images to train on: a few, unless they lie closer than the one stride or further apart than the other."""
 CALIBRATION_IMAGES = 100
 
 
@@ -34,7 +37,7 @@ def training_images(images: Sequence[ImageRef]) -> tuple[ImageRef, ...]:
     if not images:
         return ()
     span_s = (images[-1].t_ns - images[0].t_ns) * 1e-9
-    wanted = min(TRAINING_IMAGES, span_s / MIN_STRIDE_S + 1)
+    wanted = min(max(FEW_IMAGES, span_s / MAX_STRIDE_S), MANY_IMAGES, span_s / MIN_STRIDE_S + 1)
     return tuple(images[:: max(1, round(len(images) / wanted))])
 
 
