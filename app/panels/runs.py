@@ -34,6 +34,7 @@ from ..html import (
 )
 from ..palette import ESTIMATE, FORK
 from ..store import RunEntry
+from ..widgets.gate import OPS
 from ..widgets.knob import figures
 
 TITLE = "Runs"
@@ -182,7 +183,7 @@ def _said(side: Side, units: str) -> Html:
     if side.limit is None or side.value is None:
         only = muted(f", {len(side.ids)} of them only here") if side.ids and side.value is not None else None
         return text((strong(side.outcome), only))
-    op = {">=": "≥", "<=": "≤"}.get(side.op, side.op)
+    op = OPS.get(side.op, side.op)
     return text(
         (strong(number(side.value, 4)), f" {op} {brief(side.limit, 4)}", unit(units), muted(f": {side.outcome}"))
     )

@@ -45,6 +45,7 @@ from ..html import (
 )
 from ..palette import BAD, ESTIMATE, FORK, OK
 from ..style import FACTOR_COLOURS
+from ..widgets.gate import OPS
 from ..widgets.knob import figures, knobs
 from ..widgets.plot import svg, ticks
 
@@ -262,7 +263,7 @@ def _decided(solved: WhatIf) -> Iterator[Html]:
 def _side(side: Side) -> str:
     if side.limit is None:
         return side.outcome
-    return f"{number(side.value, 4)} {side.op} {brief(side.limit)}: {side.outcome}"
+    return f"{number(side.value, 4)} {OPS.get(side.op, side.op)} {brief(side.limit)}: {side.outcome}"
 
 
 def _unsolved(solved: WhatIf) -> Iterator[Html]:
