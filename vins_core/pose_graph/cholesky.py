@@ -30,15 +30,14 @@ class _Plan:
 
 
 class BlockCholesky:
-    """Solves (H) x = b for matrices with one pattern of square blocks.
+    """Solves H x = b for matrices with one pattern of square blocks.
 
     n nodes with `size` columns each; H has the n diagonal blocks and the blocks (i_k, j_k) with their transposes,
     each pair at most once.
     """
 
     def __init__(self, fronts: tuple[Front, ...], i: np.ndarray, j: np.ndarray, size: int):
-        self._n, self._size = sum(len(f.own) for f in fronts), size
-        self._plans = _plan(fronts, i, j, self._n, size)
+        self._plans = _plan(fronts, i, j, size)
         self._factors: list[tuple[np.ndarray, np.ndarray]] = []
 
     def factorize(self, diagonal: np.ndarray, off_diagonal: np.ndarray) -> bool:
@@ -77,7 +76,8 @@ class BlockCholesky:
         return x.reshape(b.shape)
 
 
-def _plan(fronts: tuple[Front, ...], i: np.ndarray, j: np.ndarray, n: int, size: int) -> list[_Plan]:
+def _plan(fronts: tuple[Front, ...], i: np.ndarray, j: np.ndarray, size: int) -> list[_Plan]:
+    n = sum(len(f.own) for f in fronts)
     turn, front_of = np.empty(n, np.int64), np.empty(n, np.int64)
     first = 0
     for number, front in enumerate(fronts):
@@ -107,7 +107,11 @@ def _plan(fronts: tuple[Front, ...], i: np.ndarray, j: np.ndarray, n: int, size:
                 _scalars(front.border, size),
                 (blocks[:, None] * size * size + np.arange(size * size)).ravel(),
                 target.ravel(),
-                tuple((child, _scalars(local[fronts[child].border], size)) for child in front.children),
+                tuple(
+                    (child, _scalars(local[fronts[child].border], size))
+                    for child in front.children
+                    if len(fronts[child].border)
+                ),
             )
         )
     return plans

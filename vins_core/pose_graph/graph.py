@@ -144,6 +144,27 @@ def add_loop(
     return _merge(graph, moved, min(group_i, group_j), shift(settings, held, seen))
 
 
+def extend(
+    graph: PoseGraph,
+    frame: np.ndarray,
+    t_ns: np.ndarray,
+    session: np.ndarray,
+    T_vio: np.ndarray,
+    loops: np.ndarray,
+    T_loops: np.ndarray,
+) -> PoseGraph:
+    """`graph` with further rows as the properties of the same names have them; merges nothing."""
+    keyframes = graph.keyframe_rows.extend(graph.n_keyframes, frame=frame, t_ns=t_ns, session=session, T_vio=T_vio)
+    rows = graph.loop_rows.extend(graph.n_loops, pair=loops, T_i_j=T_loops)
+    return replace(
+        graph,
+        n_keyframes=graph.n_keyframes + len(frame),
+        n_loops=graph.n_loops + len(loops),
+        keyframe_rows=keyframes,
+        loop_rows=rows,
+    )
+
+
 def shift(settings: params.PoseGraph, T_g_b: np.ndarray, T_u_b: np.ndarray) -> np.ndarray:
     """T_g_u, (7,), that takes a body from `T_u_b` to `T_g_b`, as far as the degrees of freedom allow."""
     if settings.dof == "6":
