@@ -19,6 +19,7 @@ topology of a window is only in the callbacks.  Coordinates that nothing depends
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -136,7 +137,7 @@ class _Machine:
         ]  # fmt: skip
         cost, gradient, hessian = self._callbacks
         y = ca.MX.sym("y", size)
-        options = {
+        options: dict[str, Any] = {
             "grad_f": gradient, "hess_lag": hessian, "no_nlp_grad": True, "calc_f": False, "calc_lam_p": False,
             "calc_lam_x": False, "print_time": False, "show_eval_warnings": False, "error_on_fail": False,
             "ipopt": {
@@ -144,7 +145,9 @@ class _Machine:
                 "tol": tolerance, "acceptable_iter": 0,
             },
         }  # fmt: skip
-        self._ipopt = ca.nlpsol("window", "ipopt", {"x": y, "f": cost(y, ca.DM(0, 0))}, options)
+        objective: dict[str, Any] = {"x": y, "f": cost(y, ca.DM(0, 0))}
+        self._ipopt: Any = ca.nlpsol("window", "ipopt", objective, options)
+        self._at: np.ndarray | None = None
         self._busy = threading.Lock()
 
     def solve(self, linearizer: Linearizer, start: States, hold_gauge: bool) -> Solution:
@@ -267,7 +270,7 @@ class _Callback(ca.Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return self._shapes[i]
 
-    def eval(self, arguments: list[ca.DM]) -> list[Any]:
+    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
         return self._function(arguments)
 
 
