@@ -219,6 +219,10 @@ class Marginalization:
     """The prior left by what leaves the window (REFERENCE 10)."""
 
     eigen_threshold: Annotated[float, Range(0, 1), Doc("eigenvalues of the information below it count as zero")] = 1e-8
+    first_estimates: Annotated[
+        bool,
+        Doc("linearise what leaves where the prior was first linearised, which keeps yaw out of the prior"),
+    ] = False
 
 
 @dataclass(frozen=True)

@@ -246,6 +246,8 @@ class MarginalizationReport:
     blocks: tuple[BlockReport, ...]
     rank: int
     eigenvalues: np.ndarray  # (n,) float64 of the new prior's information, ascending
+    gauge_information: np.ndarray = field(default_factory=lambda: np.zeros(4))
+    """(4,) what the new prior claims to know of x, y, z (1/m^2) and yaw (1/rad^2); see solver/spectrum.py."""
 
 
 @dataclass(frozen=True)
@@ -440,10 +442,11 @@ class FrameSummary:
     pose: PoseEstimate | None
     ms: Timings
     degeneracy: str = ""  # "" or which motion the window is missing
+    yaw_information: float | None = None  # what the prior made in this frame claims to know of yaw, 1/rad^2
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
-    tracks, solve, init = report.tracks, report.solve, report.initialization
+    tracks, solve, init, margin = report.tracks, report.solve, report.initialization, report.marginalization
     failed = [g.name for s in init.stages for g in s.gates if g.decides and not g.passed] if init else []
     failed += [g.name for g in report.health.gates if g.decides and not g.passed] if report.health else []
     why = next((s.outcome for s in init.stages if not s.passed), "") if init else None
@@ -460,7 +463,7 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         after=solve.after if solve else None,
         n_iterations=len(solve.iterations) if solve else 0,
         n_landmarks=solve.n_landmarks if solve else 0,
-        marginalized=report.marginalization.kind if report.marginalization else "none",
+        marginalized=margin.kind if margin else "none",
         initialization=why,
         health=report.health.outcome if report.health else "",
         failed_gates=tuple(failed),
@@ -468,4 +471,5 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         pose=report.pose,
         ms=ms,
         degeneracy=report.health.degeneracy if report.health else "",
+        yaw_information=float(margin.gauge_information[3]) if margin and margin.kind != "none" else None,
     )

@@ -13,21 +13,15 @@ J = U S V', the prior is S V' and U' r; S^2 are the eigenvalues of its informati
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.linalg import lapack, qr, solve_triangular
 
 from ..params import Params
-from ..report import BlockReport, MarginalizationReport
+from ..report import MarginalizationReport
 from ..solver import schur
-from ..solver.inertial_term import InertialTerm
-from ..solver.layout import Layout, Variable
-from ..solver.linearize import Linearizer
-from ..solver.prior_term import PriorTerm
-from ..solver.problem import WindowProblem
-from .assemble import assemble
-from .state import BlockKey, Prior, WindowState
+from ..solver.spectrum import gauge_directions
+from .departure import Departure, oldest_leaves, second_newest_leaves
+from .state import Prior, WindowState
 
 NOTHING_LEFT = MarginalizationReport("none", 0, 0, (), 0, np.zeros(0))
 
@@ -35,93 +29,49 @@ NOTHING_LEFT = MarginalizationReport("none", 0, 0, (), 0, np.zeros(0))
 def marginalize_oldest(
     params: Params, window: WindowState, gravity_m_s2: float
 ) -> tuple[Prior | None, MarginalizationReport]:
-    """MARGIN_OLD (REFERENCE G1): drops pose and speed-bias of slot 0 and the landmarks anchored there.
-
-    Factors: the prior, IMU (0, 1), projections of landmarks anchored in slot 0, at the window's current states.
-    """
-    assembly = assemble(params, window, gravity_m_s2)
-    problem = assembly.problem
-    leaving = assembly.anchor == 0
-    table = problem.projections[leaving[problem.projections.landmark]]
-    table = replace(table, landmark=(np.cumsum(leaving) - 1)[table.landmark])
-    part = replace(
-        problem,
-        initial=replace(problem.initial, inv_depths=problem.initial.inv_depths[leaving]),
-        projections=table,
-        imu=tuple((k, m) for k, m in problem.imu if k == 0),
-        free_extrinsics=True,
-    )
-    dropped = [Variable("pose", 0), Variable("speed_bias", 0)]
-    return _marginalize(params, window, part, dropped, assembly.ids[leaving], "MARGIN_OLD")
+    """The oldest frame leaves, see departure.py."""
+    return marginalize(params, oldest_leaves(params, window, gravity_m_s2))
 
 
 def marginalize_second_newest(
     params: Params, window: WindowState, gravity_m_s2: float
 ) -> tuple[Prior | None, MarginalizationReport]:
-    """MARGIN_SECOND_NEW (REFERENCE G2): drops the pose of the second newest frame from the prior, if it is there.
-
-    No other factor takes part: its projections are forgotten and its IMU samples go to the next interval.
-    """
-    slot = len(window.frames) - 2
-    key = BlockKey("pose", window.frames[slot].frame)
-    if window.prior is None or key not in window.prior.blocks:
-        return window.prior, NOTHING_LEFT
-    problem = assemble(params, window, gravity_m_s2).problem
-    part = replace(
-        problem,
-        initial=replace(problem.initial, inv_depths=np.zeros(0)),
-        projections=problem.projections[:0],
-        imu=(),
-        free_extrinsics=True,
-    )
-    return _marginalize(params, window, part, [Variable("pose", slot)], np.zeros(0, np.int64), "MARGIN_SECOND_NEW")
+    """The second newest frame leaves, see departure.py; a prior without it stays as it is."""
+    departure = second_newest_leaves(params, window, gravity_m_s2)
+    return (window.prior, NOTHING_LEFT) if departure is None else marginalize(params, departure)
 
 
-def _marginalize(
-    params: Params,
-    window: WindowState,
-    problem: WindowProblem,
-    dropped: list[Variable],
-    landmark_ids: np.ndarray,
-    kind: str,
-) -> tuple[Prior | None, MarginalizationReport]:
-    touched = _touched(problem)
-    dropped = [b for b in dropped if b in touched]
-    kept = [b for b in touched if b not in dropped]
-    frames = [f.frame for f in window.frames]
-    blocks = _reports(frames, dropped, landmark_ids, kept)
+def marginalize(params: Params, departure: Departure) -> tuple[Prior | None, MarginalizationReport]:
+    """The prior on what stays; None when nothing is known about it."""
+    kept, blocks = departure.kept, departure.blocks()
     m, n = (sum(b.size for b in blocks if b.dropped is gone) for gone in (True, False))
     if not kept:
-        return None, MarginalizationReport(kind, m, n, blocks, 0, np.zeros(0))
+        return None, MarginalizationReport(departure.kind, m, n, blocks, 0, np.zeros(0))
 
-    layout = Layout(problem.n_frames, len(problem.initial.extrinsics))
-    J, r = _rows(problem, layout, params.marginalization.eigen_threshold)
-    J, r = _eliminate(J[:, layout.columns_of(dropped)], J[:, layout.columns_of(kept)], r)
+    threshold, layout = params.marginalization.eigen_threshold, departure.layout
+    J, r = _rows(departure, threshold)
+    J, r = _eliminate(J[:, layout.columns_of(departure.dropped)], J[:, layout.columns_of(kept)], r)
 
     U, singular, Vt = np.linalg.svd(J)
     eigenvalues = singular**2
-    informative = eigenvalues > params.marginalization.eigen_threshold
+    informative = eigenvalues > threshold
     J = np.where(informative, singular, 0.0)[:, None] * Vt
     r = np.where(informative, U.T @ r, 0.0)
 
-    keys = tuple(BlockKey(b.kind, b.slot if b.kind == "extrinsic" else frames[b.slot]) for b in kept)
-    prior = Prior(keys, tuple(problem.initial.value(b).copy() for b in kept), J, r)
-    return prior, MarginalizationReport(kind, m, n, blocks, int(informative.sum()), eigenvalues[::-1])
+    keys, x0 = tuple(departure.key(b) for b in kept), tuple(departure.at.value(b).copy() for b in kept)
+    leaked = np.square(J @ gauge_directions(kept, x0)).sum(0)
+    report = MarginalizationReport(
+        departure.kind, m, n, blocks, int(informative.sum()), eigenvalues[::-1], gauge_information=leaked
+    )
+    return Prior(keys, x0, J, r), report
 
 
-def _rows(problem: WindowProblem, layout: Layout, threshold: float) -> tuple[np.ndarray, np.ndarray]:
+def _rows(departure: Departure, threshold: float) -> tuple[np.ndarray, np.ndarray]:
     """J (rows, D) and r (rows,) of the prior, the IMU factor, and what the landmarks leave."""
-    states, P = problem.initial, layout.visual
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    if problem.prior:
-        prior = PriorTerm(problem.prior, layout)
-        parts.append((*prior.rows(states), prior.columns[0]))
-    if problem.imu:
-        inertial = InertialTerm(problem, layout)
-        r, J = inertial.rows(states)
-        parts.append((r[0], J[0], inertial.columns[0]))
-    if len(problem.projections):
-        seen = Linearizer(replace(problem, imu=(), prior=None)).linearize(states)
+    layout, P = departure.layout, departure.layout.visual
+    parts = list(departure.square_roots())
+    seen = departure.projections()
+    if seen is not None:
         S, b = schur.eliminate(seen, np.where(seen.h > threshold, seen.h, 0.0))
         parts.append((*_square_root(S[:P, :P], b[:P]), np.arange(P)))
     J, row = np.zeros((sum(len(r) for r, _, _ in parts), layout.size)), 0
@@ -156,33 +106,3 @@ def _eliminate(J_m: np.ndarray, J_k: np.ndarray, r: np.ndarray) -> tuple[np.ndar
         (R,) = qr(rest, mode="r", check_finite=False)
         square[: min(n, len(R))] = R[:n]
     return square[:, :n], square[:, n]
-
-
-def _touched(problem: WindowProblem) -> list[Variable]:
-    """The blocks that some factor of the problem touches: poses, speed-biases, extrinsics."""
-    touched = set(problem.prior.blocks) if problem.prior else set()
-    for k, _ in problem.imu:
-        touched |= {Variable(kind, slot) for kind in ("pose", "speed_bias") for slot in (k, k + 1)}
-    table = problem.projections
-    if len(table):
-        touched |= {Variable("pose", int(slot)) for slot in np.union1d(table.anchor, table.observer)}
-        touched.add(Variable("extrinsic", table.camera))
-    order = ("pose", "speed_bias", "extrinsic")
-    return sorted(touched, key=lambda block: (order.index(block.kind), block.slot))
-
-
-def _reports(
-    frames: list[int], dropped: list[Variable], landmark_ids: np.ndarray, kept: list[Variable]
-) -> tuple[BlockReport, ...]:
-    """Every block in the order of the marginalisation's H: dropped cameras, landmarks, then what is kept."""
-
-    def name(block: Variable) -> str:
-        if block.kind == "extrinsic":
-            return f"extrinsic cam{block.slot}"
-        return f"{block.kind} {block.slot} (frame {frames[block.slot]})"
-
-    rows = [(name(block), block.size, True) for block in dropped]
-    rows += [(f"inv_depth of {i}", 1, True) for i in landmark_ids]
-    rows += [(name(block), block.size, False) for block in kept]
-    index = np.cumsum([0] + [size for _, size, _ in rows]).tolist()
-    return tuple(BlockReport(label, size, start, gone) for (label, size, gone), start in zip(rows, index))

@@ -1,0 +1,104 @@
+"""How well a solved window knows its states: marginal covariances from the normal equations.
+
+    [ H  W' ]^-1
+    [ W  h  ]          position and yaw of the oldest pose held, so that everything is relative to them
+
+With S = H - W' h^-1 W and w_k = W_k / h_k,  Cov(c) = S^-1,  Cov(c, l_k) = -S^-1 w_k,  Var(l_k) = 1/h_k + w_k' S^-1 w_k.
+A landmark in the world is X = T_w_b T_b_c (f / lambda) of its anchor, a function of (dp, dtheta, lambda) with
+
+    dX = dp - R [x_b]x dtheta - (X - o) dlambda / lambda,      x_b the point in the body, o the camera's centre
+
+These are the estimator's own claims: a prior that leaks, or observations used twice, make them too small.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack
+
+from ..geometry import se3, so3
+from . import schur
+from .linearize import Linearizer, NormalEquations
+from .problem import States, WindowProblem
+from .trust_region import gauge_damping
+
+
+@dataclass(frozen=True)
+class Covariances:
+    """Marginal covariances; tangents as in `States`."""
+
+    poses: np.ndarray  # (n, 6, 6) dp in m, dtheta in rad (body side)
+    speed_biases: np.ndarray  # (n, 9, 9) v, b_a, b_g
+    inv_depths: np.ndarray  # (M,) variances, 1/m^2; NaN without information
+    landmarks_w: np.ndarray  # (M, 3, 3) of the points in the world, m^2; NaN without information
+
+
+def covariances(problem: WindowProblem, states: States) -> Covariances | None:
+    """None when the normal equations are singular beyond position and yaw, as without IMU or prior."""
+    linearizer = Linearizer(problem)
+    layout, system = linearizer.layout, linearizer.linearize(states)
+    C = _invert_cameras(system, gauge_damping(states.poses[0]))
+    if C is None:
+        return None
+    poses, speed_biases = (layout.columns(kind, np.arange(layout.n_frames)) for kind in ("pose", "speed_bias"))
+    known = system.h > 0
+    w = np.divide(system.W, system.h[:, None], out=np.full_like(system.W, np.nan), where=known[:, None])
+    P = layout.visual
+    coupled = -w @ C[:P, :P]  # (M, P) Cov(l, c)
+    with np.errstate(divide="ignore"):
+        variance = np.where(known, 1.0 / system.h - np.sum(coupled * w, 1), np.nan)
+    return Covariances(
+        C[poses[:, :, None], poses[:, None, :]],
+        C[speed_biases[:, :, None], speed_biases[:, None, :]],
+        variance,
+        _in_world(problem, states, C[poses[:, :, None], poses[:, None, :]], coupled, variance),
+    )
+
+
+def ellipsoid(covariance: np.ndarray, sigmas: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
+    """Half axes (..., 3) in m, ascending, and their directions as columns of a rotation (..., 3, 3)."""
+    values, axes = np.linalg.eigh(covariance)
+    axes[..., :, 2] *= np.sign(np.linalg.det(axes))[..., None]
+    return sigmas * np.sqrt(np.maximum(values, 0.0)), axes
+
+
+def _invert_cameras(system: NormalEquations, gauge: np.ndarray) -> np.ndarray | None:
+    """S^-1, computed in units of each variable's own standard deviation."""
+    S, _ = schur.eliminate(system, system.h)
+    S[:6, :6] += gauge
+    diagonal = S.diagonal()
+    if not (diagonal > 0).all():
+        return None
+    scale = 1.0 / np.sqrt(diagonal)
+    factor, info = lapack.dpotrf(S * np.outer(scale, scale), lower=1, clean=1)
+    if info:
+        return None
+    inverse, _ = lapack.dpotri(factor, lower=1)
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    return inverse * np.outer(scale, scale)
+
+
+def _in_world(
+    problem: WindowProblem, states: States, poses: np.ndarray, coupled: np.ndarray, variance: np.ndarray
+) -> np.ndarray:
+    table, M = problem.projections, problem.n_landmarks
+    anchor, ray = np.zeros(M, np.int64), np.full((M, 3), np.nan)
+    anchor[table.landmark], ray[table.landmark] = table.anchor, table.rays_i
+    T_b_c = se3.from_quaternion_translation(states.extrinsics[table.camera, 3:], states.extrinsics[table.camera, :3])
+    x_c = ray / (ray[:, 2:] * states.inv_depths[:, None])
+    x_b = se3.transform(T_b_c, x_c)
+    R = so3.to_matrix(states.poses[anchor, 3:])
+    from_camera = np.einsum("kij,kj->ki", R, x_b - T_b_c[:3, 3])
+
+    J = np.empty((M, 3, 7))  # of X with respect to (dp, dtheta, lambda)
+    J[:, :, :3] = np.eye(3)
+    J[:, :, 3:6] = -R @ so3.skew(x_b)
+    J[:, :, 6] = -from_camera / states.inv_depths[:, None]
+    joint = np.empty((M, 7, 7))
+    joint[:, :6, :6] = poses[anchor]
+    columns = 6 * anchor[:, None] + np.arange(6)
+    joint[:, 6, :6] = joint[:, :6, 6] = np.take_along_axis(coupled, columns, 1)
+    joint[:, 6, 6] = variance
+    return J @ joint @ J.transpose(0, 2, 1)
