@@ -11,6 +11,7 @@ import html
 import json
 from collections.abc import Callable
 from importlib import resources
+from typing import Literal
 
 import msgspec
 import viser
@@ -102,6 +103,10 @@ class AskOptimum(msgspec.Struct, tag_field="k", tag="optimum"):
     """Is the solution of the frame shown the optimum of its window?"""
 
 
+class Side(msgspec.Struct, tag_field="k", tag="side"):
+    name: Literal["after", "before", "fill-in"]  # of marginalisation
+
+
 class Link(msgspec.Struct, tag_field="k", tag="link"):
     """The address of the page names a view."""
 
@@ -119,7 +124,7 @@ class Page(msgspec.Struct, tag_field="k", tag="page"):
 
 Event = (
     Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
-    | Open | Compare | Rename | Keep | Stop | AskOptimum | Link | Page
+    | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Link | Page
 )  # fmt: skip
 SCRIPTS = ("page.js", "knobs.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)

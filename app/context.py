@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from .comparison import OtherRun
     from .experiment import ExperimentView
     from .optimum import OptimumView
-    from .prior import PriorView
+    from .prior import DepartureView, PriorView
     from .store import RunEntry
 
 GATE_SLICE = 50
@@ -127,8 +127,8 @@ class RunView:
 
         with self._reading:
             for k in range(len(self._leaks), min(len(self._leaks) + at_most, len(self))):
-                window = self.reader.state(k).window
-                self._leaks.append(leaked(window.prior, window) if window.prior else np.full(4, np.nan))
+                prior = self.reader.state(k).window.prior
+                self._leaks.append(leaked(prior) if prior else np.full(4, np.nan))
             return len(self) - len(self._leaks)
 
     @cached_property
@@ -164,3 +164,5 @@ class PanelContext:
     runs: tuple[RunEntry, ...] = ()  # every run there is to open or compare with
     other: OtherRun | None = None  # the run compared with
     optimum: OptimumView | None = None  # what IPOPT said about this frame's window, when it was asked
+    prior_side: str = "after"  # which matrix the Prior panel shows: "after" | "before" | "fill-in"
+    departure: DepartureView | None = None  # what marginalisation started from, once it is worked out

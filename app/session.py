@@ -42,6 +42,7 @@ from .browser import (
     Save,
     Seek,
     Set,
+    Side,
     Span,
     Step,
     Stop,
@@ -50,14 +51,17 @@ from .comparison import Comparer, OtherRun, same_instants
 from .context import PanelContext, RunView, Selection
 from .experiment import Experiment, parse_parameters
 from .html import tag
+from .latest import Latest
 from .layout import Layout, Panel, Placement, canvas_width, place, save_layout
 from .optimum import Optimum
 from .panel_view import PANELS, PanelView
+from .prior import DepartureView, departure_view
 from .runs import OpenRun
 from .scene.frame import SceneFrame, scene_unit
 from .scene.pick import pick
-from .scene.view import TOGGLES, SceneView
+from .scene.view import OFF, TOGGLES, SceneView
 from .store import RunStore
+from .uncertainty import uncertainty
 
 log = logging.getLogger("vinspect")
 
@@ -73,6 +77,9 @@ class Session:
         self.opened = opened = self.store.first
         self.experiment = Experiment(lambda: self.refresh("what_if", "camera", "scene"))
         self.comparer = Comparer(self.refresh)
+        self.uncertainty = Latest(uncertainty, lambda: self.refresh("scene"))
+        self.prior_side = "after"
+        self.departure = Latest(departure_view, lambda: self.refresh("prior"))
         self.optimum = Optimum(lambda: self.refresh("inspect"))
         self.fork_frames = 0  # 0: to the end
         self.want, self.shown = 0, -1
@@ -208,6 +215,8 @@ class Session:
         self.experiment.close()
         self.comparer.close()
         self.optimum.close()
+        self.uncertainty.close()
+        self.departure.close()
         self._wake.set()
 
     # -- the page ----------------------------------------------------------------------------------------------------
@@ -291,9 +300,9 @@ class Session:
                     self._add_tab(window, key)
             self._place()
             for toggle, box in self._boxes.items():
-                set_value(box, layout.layers.get(toggle, True))
+                set_value(box, layout.layers.get(toggle, toggle not in OFF))
             for toggle in TOGGLES:
-                self.scene.show(toggle, layout.layers.get(toggle, True))
+                self.scene.show(toggle, layout.layers.get(toggle, toggle not in OFF))
             self.following = layout.camera == "follow"
             set_value(self._follow_box, self.following)
             set_value(self._layout_menu, layout.title)
@@ -354,6 +363,7 @@ class Session:
         @box.on_update
         async def _(_: viser.GuiEvent) -> None:
             self.scene.show(toggle, box.value)
+            self.refresh("scene")
 
     def _place(self) -> None:
         """Put every panel where the layout says, as wide as the page allows."""
@@ -421,6 +431,9 @@ class Session:
             case AskOptimum() if self._run is not None:
                 self.optimum.ask(self._run, self.want)
                 self.refresh()
+            case Side(name):
+                self.prior_side = name
+                self.refresh("prior")
             case Open(id):
                 self.use_run(id)
             case Compare(id):
@@ -520,7 +533,9 @@ class Session:
             frame = self._scene_frame(k) if parts is None or "scene" in parts else None
             if frame is not None:
                 solved = ctx.experiment.solved if ctx.experiment else None
-                frame = replace(frame, other=ctx.other, resolved=solved.after.window if solved else None)
+                known = self.uncertainty.look(run, k) if self.scene.shows("uncertainty") else None
+                resolved = solved.after.window if solved else None
+                frame = replace(frame, other=ctx.other, resolved=resolved, uncertainty=known)
                 self.scene.update(frame)
                 self._read_leaks(run)
                 self._aim(frame)
@@ -548,6 +563,8 @@ class Session:
             runs=self.store.entries() if "runs" in self._visible else (),
             other=self._beside(run),
             optimum=self.optimum.look(run, k),
+            prior_side=self.prior_side,
+            departure=self._departure(run, k),
         )
 
     def _read_leaks(self, run: RunView) -> None:
@@ -561,6 +578,10 @@ class Session:
             self._leaking = False
 
         self._background(run.read_leaks, done)
+
+    def _departure(self, run: RunView, k: int) -> DepartureView | None:
+        wanted = "prior" in self._visible and self.prior_side != "after"
+        return self.departure.look(run, k) if wanted else None
 
     def _beside(self, run: RunView) -> OtherRun | None:
         return None if self.other is None else self.comparer.look(run, self.other, self.store.name(self.other))

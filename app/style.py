@@ -257,6 +257,9 @@ _MATRIX = f"""
 .vi-mbody{{grid-area:2/2;position:relative;aspect-ratio:1;border-radius:3px;overflow:hidden;background:#000}}
 .vi-mbody img,.vi-mbody svg{{position:absolute;inset:0;width:100%;height:100%}}
 .vi-mbody img{{image-rendering:pixelated}}
+.vi-sides{{display:flex;gap:4px;align-items:center;margin:0 0 6px}}
+.vi-sides .vi-muted{{margin-left:6px;font-size:11px}}
+.vi-button.vi-on{{background:#38205A;border-color:{PRIOR};color:{STRONG}}}
 .vi-edges{{stroke:#FFFFFF;stroke-opacity:.16;stroke-width:1;vector-effect:non-scaling-stroke;fill:none}}
 .vi-cut{{stroke:{BAD};stroke-width:1.6;vector-effect:non-scaling-stroke;fill:none}}
 .vi-cell{{fill:transparent;cursor:pointer}} .vi-cell:hover{{fill:#FFFFFF2E}}

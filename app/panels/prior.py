@@ -60,18 +60,40 @@ def render(ctx: PanelContext) -> str:
         ctx.report.marginalization))  # fmt: skip
 
 
+SIDES = (("after", "what is left"), ("before", "what it is made of"), ("fill-in", "entries that are new"))
+
+
 def _matrix(ctx: PanelContext, prior: PriorView) -> Iterator[Html]:
-    n = len(prior.information)
-    _, low, high = log_range(prior.information)
+    left = ctx.report.marginalization
+    sides = SIDES if left is not None and left.kind != "none" else SIDES[:1]
+    side, seen = ctx.prior_side if len(sides) > 1 else "after", ctx.departure
+    matrix, blocks, note = prior.information, prior.blocks, "Λ = JᵀJ"
+    if side == "before" and seen is not None:
+        matrix, blocks, note = seen.information, seen.blocks, f"dropped m {seen.m} left of the line, kept n beyond"
+    if side == "fill-in" and seen is not None:
+        matrix, blocks, note = seen.fill_in, seen.kept, f"{number(100 * seen.share, 2)} % of the entries are new"
+    if side != "after" and seen is None:
+        note = "working it out …"
+    n = len(matrix)
+    _, low, high = log_range(matrix)
     picked = (ctx.selection.id, ctx.selection.other) if ctx.selection.kind == "frame" else ()
-    yield heading("information Λ = JᵀJ", text((f"{n} × {n}, log₁₀|Λ|", scale(low, high))), "prior.information")
-    yield heat_map(prior.information, prior.blocks, [f for f in picked if f >= 0])
-    words = text((strong(_named(prior, picked)), " are drawn in 3D. ", key_cap("Esc"), " clears")) if picked else None
+    yield heading("information", text((f"{n} × {n}, log₁₀|Λ|", scale(low, high))), "prior.information")
+    if len(sides) > 1:
+        yield tag("div", *(_side(name, words, name == side) for name, words in sides), muted(note), cls="vi-sides")
+    yield heat_map(matrix, blocks, [f for f in picked if f >= 0])
+    words = text((strong(_named(picked)), " are drawn in 3D. ", key_cap("Esc"), " clears")) if picked else None
     hint = words or "hover a block for its name; a click shows both frames in 3D"
     yield tag("div", muted(hint), cls="vi-small")
 
 
-def _named(prior: PriorView, frames: tuple[int, ...]) -> str:
+def _side(name: str, words: str, on: bool) -> Html:
+    return tag(
+        "button", name, cls="vi-button" + (" vi-on" if on else ""), onclick=send(k="side", name=name), title=words,
+        aria_pressed="true" if on else "false",
+    )  # fmt: skip
+
+
+def _named(frames: tuple[int, ...]) -> str:
     return " and ".join(f"frame {f}" for f in dict.fromkeys(frames) if f >= 0)
 
 

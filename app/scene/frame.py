@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from vins_core.sensors import CameraCalibration
 from ..comparison import OtherRun
 from ..context import RunView, Selection
 from ..series import RunSeries
+
+if TYPE_CHECKING:
+    from ..uncertainty import Uncertainty
 
 MAX_FRUSTUM_FOV = np.deg2rad(110.0)
 
@@ -29,6 +32,7 @@ class SceneFrame:
     unit_m: float  # see `scene_unit`
     other: OtherRun | None = None  # the run compared with
     resolved: WindowReport | None = None  # this frame's window, solved with other parameters
+    uncertainty: Uncertainty | None = None  # of this frame's window, once it is worked out
 
     @property
     def series(self) -> RunSeries:

@@ -13,11 +13,14 @@ from .ground import GroundLayer
 from .landmarks import LandmarkLayer, by_status
 from .selection import SelectionLayer
 from .trajectory import TrajectoryLayer
+from .uncertainty import UncertaintyLayer
 from .window import WindowLayer
 
-LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer)
+LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer, UncertaintyLayer)
 TOGGLES: dict[str, str] = {name: title for layer in (*LAYERS, GroundLayer) for name, title in layer.toggles.items()}
-"""Every layer that can be switched, with the title of its checkbox.  All are on by default."""
+"""Every layer that can be switched, with the title of its checkbox."""
+OFF = frozenset({"uncertainty"})
+"""Layers that are off unless a layout asks for them; all others are on."""
 
 VIEW = np.array([0.5, 0.75, -0.62])
 """Direction of the overview."""
@@ -31,6 +34,9 @@ class SceneView:
         self._ground = GroundLayer(client.scene)
         self._layers: list[Layer] = [self._ground, *(layer(client.scene) for layer in LAYERS)]
         self._on = dict.fromkeys(TOGGLES, True)
+
+    def shows(self, toggle: str) -> bool:
+        return self._on[toggle]
 
     def update(self, frame: SceneFrame) -> None:
         for layer in self._layers:

@@ -54,8 +54,8 @@ def heat_map(matrix: np.ndarray, blocks: Sequence[MatrixBlock], picked: Sequence
     picture = tag("img", alt="", src=png_uri(colours(logs, low, high)), draggable="false")
     return tag(
         "div",
-        tag("div", *(_label(b, n, "left") for b in blocks), cls="vi-mtop"),
-        tag("div", *(_label(b, n, "top") for b in blocks), cls="vi-mleft"),
+        tag("div", *_labels(blocks, n, "left", 4.5), cls="vi-mtop"),
+        tag("div", *_labels(blocks, n, "top", 2.4), cls="vi-mleft"),
         tag("div", picture, svg, cls="vi-mbody"),
         cls="vi-matrix",
         data_matrix=str(n),
@@ -105,6 +105,12 @@ def _cell(matrix: np.ndarray, a: MatrixBlock, b: MatrixBlock) -> str:
     )
 
 
-def _label(block: MatrixBlock, n: int, side: str) -> Html:
-    middle = 100 * (block.start + block.size / 2) / n
-    return tag("span", block.short, style=f"{side}:{middle:.2f}%", title=block.name)
+def _labels(blocks: Sequence[MatrixBlock], n: int, side: str, apart: float) -> list[Html]:
+    """Names along an edge, at least `apart` per cent from each other."""
+    labels, last = [], -np.inf
+    for block in blocks:
+        middle = 100 * (block.start + block.size / 2) / n
+        if middle - last >= apart:
+            labels.append(tag("span", block.short, style=f"{side}:{middle:.2f}%", title=block.name))
+            last = middle
+    return labels
