@@ -32,7 +32,8 @@ class Covariances:
     poses: np.ndarray  # (n, 6, 6) dp in m, dtheta in rad (body side)
     speed_biases: np.ndarray  # (n, 9, 9) v, b_a, b_g
     inv_depths: np.ndarray  # (M,) variances, 1/m^2; NaN without information
-    landmarks_w: np.ndarray  # (M, 3, 3) of the points in the world, m^2; NaN without information
+    points_w: np.ndarray  # (M, 3) landmarks in the world, m
+    landmarks_w: np.ndarray  # (M, 3, 3) their covariances, m^2; NaN without information
 
 
 def covariances(problem: WindowProblem, states: States) -> Covariances | None:
@@ -49,12 +50,9 @@ def covariances(problem: WindowProblem, states: States) -> Covariances | None:
     coupled = -w @ C[:P, :P]  # (M, P) Cov(l, c)
     with np.errstate(divide="ignore"):
         variance = np.where(known, 1.0 / system.h - np.sum(coupled * w, 1), np.nan)
-    return Covariances(
-        C[poses[:, :, None], poses[:, None, :]],
-        C[speed_biases[:, :, None], speed_biases[:, None, :]],
-        variance,
-        _in_world(problem, states, C[poses[:, :, None], poses[:, None, :]], coupled, variance),
-    )
+    of_poses = C[poses[:, :, None], poses[:, None, :]]
+    of_speed_biases = C[speed_biases[:, :, None], speed_biases[:, None, :]]
+    return Covariances(of_poses, of_speed_biases, variance, *_in_world(problem, states, of_poses, coupled, variance))
 
 
 def ellipsoid(covariance: np.ndarray, sigmas: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
@@ -82,7 +80,8 @@ def _invert_cameras(system: NormalEquations, gauge: np.ndarray) -> np.ndarray | 
 
 def _in_world(
     problem: WindowProblem, states: States, poses: np.ndarray, coupled: np.ndarray, variance: np.ndarray
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (M, 3) and covariances (M, 3, 3) of the landmarks."""
     table, M = problem.projections, problem.n_landmarks
     anchor, ray = np.zeros(M, np.int64), np.full((M, 3), np.nan)
     anchor[table.landmark], ray[table.landmark] = table.anchor, table.rays_i
@@ -101,4 +100,5 @@ def _in_world(
     columns = 6 * anchor[:, None] + np.arange(6)
     joint[:, 6, :6] = joint[:, :6, 6] = np.take_along_axis(coupled, columns, 1)
     joint[:, 6, 6] = variance
-    return J @ joint @ J.transpose(0, 2, 1)
+    points = states.poses[anchor, :3] + np.einsum("kij,kj->ki", R, x_b)
+    return points, J @ joint @ J.transpose(0, 2, 1)
