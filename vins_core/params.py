@@ -209,6 +209,14 @@ class Solver:
     dogleg_min_mu: Annotated[
         float, Range(1e-16, 1), Doc("smallest damping of dogleg's Gauss-Newton step, with our damping")
     ] = 1e-12
+    curved_below: Annotated[
+        float,
+        Range(0, 1),
+        Doc(
+            "with our damping, the robust loss may bend the Hessian once a step is expected to lower the cost by a "
+            "smaller share (parity: 0)"
+        ),
+    ] = 0.01
     max_radius: Annotated[float, Range(1e2, 1e32), Doc("largest trust-region radius")] = 1e16
     function_tolerance: Annotated[float, Range(0, 1e-2), Doc("stop when the cost falls by a smaller share")] = 1e-6
     min_gain_ratio: Annotated[float, Range(0, 0.5), Doc("steps with a smaller gain ratio are rejected")] = 1e-3

@@ -27,6 +27,7 @@ class Arguments(ctypes.Structure):
         ("n", _INT),
         ("width", _INT),
         ("loss", _INT),
+        ("curved", _INT),
         ("scale", ctypes.c_double),
         *((name, _POINTER) for name in ("anchor", "observer", "landmark", "start", "place", "row", "data")),
         *((name, _POINTER) for name in ("poses", "extrinsic", "inv_depths")),
@@ -82,7 +83,7 @@ class CompiledRows:
         )
         self._n_poses = 1 + max(table.anchor.max(), table.observer.max())
 
-    def evaluate(self, states: States) -> Rows:
+    def evaluate(self, states: States, curved: bool = False) -> Rows:
         n, m, width = len(self._index.table), self._index.n_landmarks, self._index.width
         inputs = {
             "poses": np.ascontiguousarray(states.poses, float),
@@ -96,6 +97,7 @@ class CompiledRows:
         rows = Rows(np.empty((2, n)), np.empty(n), np.zeros((m, width)), np.zeros(m), np.zeros(m))
         for name, address in _addresses(inputs | vars(rows)).items():
             setattr(self._arguments, name, address)
+        self._arguments.curved = curved
         self._entry(self._arguments)
         return rows
 
@@ -111,11 +113,12 @@ def check(library: Library) -> str:
             for loss in (Loss("none"), Loss("cauchy", 1.0), Loss("huber", 0.7)):
                 index, states = _example(form, factor, blocks, loss)
                 ours, expected = library.rows(index), NumpyRows(index)
-                pairs = zip(vars(ours.evaluate(states)).items(), vars(expected.evaluate(states)).values())
-                results = [*pairs, (("packed", ours.packed), expected.packed)]
-                for (name, a), b in results:
-                    if a.tobytes() != b.tobytes():
-                        return f"{name} of {factor.name} with {loss} differs from NumPy's by {np.abs(a - b).max():.1e}"
+                for curved in (False, True):
+                    a, b = (vars(rows.evaluate(states, curved)) | {"packed": rows.packed} for rows in (ours, expected))
+                    for name in a:
+                        if a[name].tobytes() != b[name].tobytes():
+                            by = np.abs(a[name] - b[name]).max()
+                            return f"{name} of {factor.name} with {loss} differs from NumPy's by {by:.1e}"
     return ""
 
 

@@ -47,6 +47,8 @@ class Iteration:
     radius: float
     mu: float
     path: Path | None = None  # at `states`, kept while steps are rejected
+    curved: bool = False  # `system` has the curvature of the robust loss
+    may_curve: bool = True
     reports: tuple[IterationReport, ...] = ()
     fall: float = float("inf")  # share of the cost that the last step removed, or was expected to if it was rejected
 
@@ -73,18 +75,25 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     dc, dl = d[:D], d[D:]
     expected = -float(system.g @ dc + system.g_l @ dl) - 0.5 * _curvature(system, dc, dl)
     states = linearizer.retract(at.states, dc, dl)
-    trial = linearizer.linearize(states)
+    curved = at.may_curve and expected < rule.curved_below * cost
+    trial = linearizer.linearize(states, curved)
     trial_cost = trial.cost.total
     ratio = (cost - trial_cost) / expected if np.isfinite(trial_cost) and expected > 0 else float("nan")
     accepted = ratio > settings.min_gain_ratio
     report = IterationReport(trial_cost, accepted, float(np.linalg.norm(d)), ratio, at.radius, corner)
     reports = (*at.reports, report)
     halved = 0.5 * (min(at.radius, length) if rule.shrinks_to_step else at.radius)
+    if not accepted and at.curved:
+        plain = linearizer.linearize(at.states)
+        return replace(
+            at, system=plain, path=None, curved=False, may_curve=False, reports=reports, fall=expected / cost
+        )
     if not accepted:
         return replace(at, radius=halved, path=path, reports=reports, fall=expected / cost)
     radius = halved if ratio < 0.25 else max(at.radius, 3.0 * length) if ratio > 0.75 else at.radius
     mu = max(rule.min_mu, path.mu / 5.0)
-    return Iteration(states, trial, min(radius, settings.max_radius), mu, None, reports, (cost - trial_cost) / cost)
+    radius = min(radius, settings.max_radius)
+    return Iteration(states, trial, radius, mu, None, curved, at.may_curve, reports, (cost - trial_cost) / cost)
 
 
 def solve(settings: params.Solver, max_iterations: int, problem: WindowProblem) -> Solution:

@@ -6,8 +6,8 @@ IPOPT minimises the true robust cost of a `WindowProblem` over local coordinates
 
 through three CasADi callbacks on our own `Linearizer`: cost, gradient, Hessian.  `linearize` differentiates at
 x = x_0 [+] T y with respect to a further x [+] d; that d relates to y through the right Jacobian of SO(3), which is
-chained into the gradient, so f and its gradient are exact.  The Hessian is that of Gauss-Newton: a descent direction
-is all that IPOPT's line search needs of it.
+chained into the gradient, so f and its gradient are exact.  The Hessian is that of Gauss-Newton with
+the curvature of the robust loss: a descent direction is all that IPOPT's line search needs of it.
 
 A prior that leaks (spectrum.py) makes the cost depend on position and yaw of the whole window, where it means nothing.
 Held, T gives the oldest pose only the two rotations that tilt it; free, all six, as VINS has it.
@@ -168,7 +168,8 @@ class _Machine:
         if self._at is None or not np.array_equal(key, self._at):
             self._at = key
             states = self._retract(key)
-            self._evaluation = _Evaluation(self._layout, self.coordinates, key, self._linearizer.linearize(states))
+            system = self._linearizer.linearize(states, curved=True)
+            self._evaluation = _Evaluation(self._layout, self.coordinates, key, system)
         return self._evaluation
 
     def _retract(self, y: np.ndarray) -> States:

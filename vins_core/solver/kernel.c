@@ -19,6 +19,7 @@ struct arguments {
   int64_t n;               /* projections */
   int64_t width;           /* columns of W */
   int64_t loss;            /* enum loss */
+  int64_t curved;          /* with the curvature of the loss */
   double scale;            /* of the loss */
   const int64_t *anchor;   /* (n,) row of poses */
   const int64_t *observer; /* (n,) row of poses */
@@ -61,10 +62,39 @@ static inline void gather(const struct arguments *a, int64_t first, int lanes, i
   }
 }
 
-/* Keeps the residuals as they are, then multiplies all columns by the root of the robust weight. */
+/* The curvature of the loss along the residual, in units of its weight. */
+static inline double curvature(enum loss loss, double scale, double s) {
+  const double a2 = scale * scale, floor = 0.2; /* robust.MIN_CURVATURE */
+  if (loss == CAUCHY) {
+    const double u = s / a2, k = (1.0 - u) / (1.0 + u);
+    return k < floor ? floor : k;
+  }
+  return loss == HUBER && s > a2 ? floor : 1.0;
+}
+
+/* Lets J see the curvature of the loss: see factors/robust.py. */
+static inline void bend(const struct arguments *a, int columns, const double *s, const double (*r)[LANES],
+                        double (*y)[LANES]) {
+  double shrink[LANES], root[LANES];
+  for (int l = 0; l < LANES; l++) {
+    root[l] = sqrt(curvature(a->loss, a->scale, s[l]));
+    shrink[l] = (1.0 - root[l]) / (s[l] < 1e-300 ? 1e-300 : s[l]);
+  }
+  for (int k = 0; k < columns - 1; k++)
+    for (int l = 0; l < LANES; l++) {
+      const double along = (y[2 * k][l] * r[0][l] + y[2 * k + 1][l] * r[1][l]) * shrink[l];
+      y[2 * k][l] -= along * r[0][l];
+      y[2 * k + 1][l] -= along * r[1][l];
+    }
+  for (int e = 0; e < 2; e++)
+    for (int l = 0; l < LANES; l++) y[2 * (columns - 1) + e][l] /= root[l];
+}
+
+/* Keeps the residuals as they are, then weighs all columns for the robust loss. */
 static inline void weigh(const struct arguments *a, int64_t first, int lanes, int columns, double (*y)[LANES]) {
-  const double(*r)[LANES] = y + 2 * (columns - 1);
-  double s[LANES], w[LANES];
+  double r[2][LANES], s[LANES], w[LANES];
+  for (int e = 0; e < 2; e++)
+    for (int l = 0; l < LANES; l++) r[e][l] = y[2 * (columns - 1) + e][l];
   for (int l = 0; l < LANES; l++) s[l] = r[0][l] * r[0][l] + r[1][l] * r[1][l];
   for (int l = 0; l < LANES; l++) w[l] = weight(a->loss, a->scale, s[l]);
   for (int l = 0; l < lanes; l++) {
@@ -73,6 +103,7 @@ static inline void weigh(const struct arguments *a, int64_t first, int lanes, in
   }
   for (int k = 0; k < 2 * columns; k++)
     for (int l = 0; l < LANES; l++) y[k][l] *= w[l];
+  if (a->curved) bend(a, columns, s, (const double(*)[LANES])r, y);
 }
 
 /* The rows [J_c r] of one projection. */

@@ -32,6 +32,8 @@ class Iteration:
     system: NormalEquations  # at `states`
     radius: float
     shrink: float  # divides the radius at the next rejection
+    curved: bool = False  # `system` has the curvature of the robust loss
+    may_curve: bool = True
     reports: tuple[IterationReport, ...] = ()
     fall: float = float("inf")  # share of the cost that the last step removed, or was expected to if it was rejected
 
@@ -42,11 +44,11 @@ def init(settings: params.Solver, linearizer: Linearizer, states: States) -> Ite
 
 def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iteration:
     """One trial step, accepted or not."""
-    system = at.system
+    rule, system = rules(settings), at.system
     cost = max(system.cost.total, 1e-300)
     Dc = np.clip(system.H.diagonal(), 1e-6, 1e32)
     Dl = np.clip(system.h, 1e-6, 1e32)
-    gauge = gauge_damping(at.states.poses[0]) if rules(settings).holds_gauge else np.zeros((6, 6))
+    gauge = gauge_damping(at.states.poses[0]) if rule.holds_gauge else np.zeros((6, 6))
     solved = schur.solve_damped(system, Dc / at.radius, Dl / at.radius, gauge)
     ratio, step_norm, trial_cost, expected = float("nan"), float("nan"), float("nan"), float("inf")
     if solved is not None:
@@ -56,17 +58,21 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
         damping = ((Dc * dc) @ dc + (Dl * dl) @ dl) / at.radius + dc[:6] @ gauge @ dc[:6]
         expected = 0.5 * float(damping - system.g @ dc - system.g_l @ dl)
         states = linearizer.retract(at.states, dc, dl)
-        trial = linearizer.linearize(states)
+        curved = at.may_curve and expected < rule.curved_below * cost
+        trial = linearizer.linearize(states, curved)
         trial_cost = trial.cost.total
         if np.isfinite(trial_cost) and expected > 0:
             ratio = (cost - trial_cost) / expected
     accepted = ratio > settings.min_gain_ratio
     report = IterationReport(trial_cost, accepted, step_norm, ratio, at.radius)
     reports = (*at.reports, report)
+    if not accepted and at.curved:
+        plain = linearizer.linearize(at.states)
+        return replace(at, system=plain, curved=False, may_curve=False, reports=reports, fall=expected / cost)
     if not accepted:
         return replace(at, radius=at.radius / at.shrink, shrink=2.0 * at.shrink, reports=reports, fall=expected / cost)
     radius = min(at.radius / max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), settings.max_radius)
-    return Iteration(states, trial, radius, 2.0, reports, (cost - trial_cost) / cost)
+    return Iteration(states, trial, radius, 2.0, curved, at.may_curve, reports, (cost - trial_cost) / cost)
 
 
 def solve(settings: params.Solver, max_iterations: int, problem: WindowProblem) -> Solution:

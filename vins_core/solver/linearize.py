@@ -57,14 +57,15 @@ class Linearizer:
         self.prior = PriorTerm(problem.prior, layout) if problem.prior else None
         self._scatter = _Scatter([t for t in (self.visual, self.inertial, self.prior) if t], layout.size)
 
-    def linearize(self, states: States) -> NormalEquations:
+    def linearize(self, states: States, curved: bool = False) -> NormalEquations:
+        """`curved`: H with the curvature of the robust loss (factors/robust.py); cost and gradient are the same."""
         m, P = self.problem.n_landmarks, self.layout.visual
         landmarks = np.zeros((m, P)), np.zeros(m), np.zeros(m)
         visual = inertial = prior = 0.0
         r_visual, r_imu, r_prior = np.zeros((2, 0)), np.zeros((0, 15)), np.zeros(0)
         blocks = iter(self._scatter.blocks)
         if self.visual:
-            visual, r_visual, landmarks = self.visual.linearize(states, next(blocks))
+            visual, r_visual, landmarks = self.visual.linearize(states, next(blocks), curved)
         if self.inertial:
             inertial, r_imu = self.inertial.linearize(states, next(blocks))
         if self.prior:

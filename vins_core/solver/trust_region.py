@@ -7,6 +7,9 @@ Started from a radius of 1e12 the damping is felt only where the normal equation
 Position and yaw of the whole window are invisible to camera and IMU; without damping, rounding errors and the
 prior's linearisation decide them.  Ours therefore damps the oldest pose strongly in these four directions, which
 holds them without changing the minimum over all others (VINS lets them go and puts them back, REFERENCE O9).
+
+Near the minimum, ours lets the curvature of the robust loss into H (factors/robust.py), and 8 steps end two orders
+closer to it.  A step from such an H that is rejected is tried again from one without, until the end of the solve.
 """
 
 from __future__ import annotations
@@ -33,16 +36,17 @@ class Rules:
     min_mu: float  # dogleg: smallest damping of the Gauss-Newton step, relative to diag J'J
     holds_gauge: bool  # damp position and yaw of the oldest pose
     shrinks_to_step: bool  # dogleg: a rejected step halves the region from its own length, not from the radius
+    curved_below: float  # share of the cost that a step is expected to remove, below which the loss may bend H
 
 
-CERES = Rules(radius=1e4, min_mu=1e-8, holds_gauge=False, shrinks_to_step=False)
+CERES = Rules(radius=1e4, min_mu=1e-8, holds_gauge=False, shrinks_to_step=False, curved_below=0.0)
 
 
 def rules(settings: params.Solver) -> Rules:
     """The rules that `solver.damping` names."""
     if settings.damping == "ceres":
         return CERES
-    return Rules(settings.initial_radius, settings.dogleg_min_mu, True, True)
+    return Rules(settings.initial_radius, settings.dogleg_min_mu, True, True, settings.curved_below)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def active_blocks(camera_blocks: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Rows:
-    """With J = [J_c J_l] and r under the square root of the robust weight, but for the first two."""
+    """With J = [J_c J_l] and r weighted for the robust loss (factors/robust.py), but for the first two."""
 
     residuals: np.ndarray  # (2, N) unweighted
     squared: np.ndarray  # (N,) |residual|^2
@@ -55,7 +55,9 @@ class RowEvaluator(Protocol):
     packed: np.ndarray
     """(2 N, c + 1) [J_c r] with weights, filled by `evaluate`."""
 
-    def evaluate(self, states: States) -> Rows: ...
+    def evaluate(self, states: States, curved: bool = False) -> Rows:
+        """`curved`: with the curvature of the robust loss."""
+        ...
 
 
 class NumpyRows:
@@ -72,8 +74,8 @@ class NumpyRows:
         columns = (index.start[:, None] + np.arange(6)[:, None]).reshape(c, n)
         self._in_W = (index.table.landmark * index.width + columns).reshape(-1)
 
-    def evaluate(self, states: States) -> Rows:
-        system, residuals, squared = self.system(states)
+    def evaluate(self, states: States, curved: bool = False) -> Rows:
+        system, residuals, squared = self.system(states, curved)
         index, c, m = self._index, self._index.camera_columns, self._index.n_landmarks
         camera, depth, r = system[:c], system[c], system[c + 1]
         self.packed[:, :c] = camera.reshape(c, -1).T[self._source]
@@ -87,7 +89,7 @@ class NumpyRows:
         in_order[:, index.row] = residuals
         return Rows(in_order, squared, W, h, g_l)
 
-    def system(self, states: States) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def system(self, states: States, curved: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """[J r] of every projection with its weight (c + 2, 2, N), a buffer; r without it (2, N); |r|^2 (N,)."""
         table, batch = self._index.table, self._batch
         poses = np.ascontiguousarray(states.poses.T)
@@ -101,4 +103,11 @@ class NumpyRows:
             r = system[-1].copy()
             s = r[0] * r[0] + r[1] * r[1]
             system *= self._index.loss.weight(s)
+            if curved:
+                shrink, root = self._index.loss.bend(s)
+                J = system[:-1]
+                along = (J[:, 0] * r[0] + J[:, 1] * r[1]) * shrink
+                J[:, 0] -= along * r[0]
+                J[:, 1] -= along * r[1]
+                system[-1] /= root
         return system, r, s

@@ -51,10 +51,10 @@ class VisualTerm:
         self._pairs = [(Jr.T, Jr) for Jr in pairs]
 
     def linearize(
-        self, states: States, products: np.ndarray
+        self, states: States, products: np.ndarray, curved: bool
     ) -> tuple[float, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Fills [J r]' [J r] of every pair, (pairs, c + 1, c + 1); returns cost, residuals (2, N) and (W, h, g_l)."""
-        rows = self._rows.evaluate(states)
+        rows = self._rows.evaluate(states, curved)
         for (Jr_t, Jr), product in zip(self._pairs, products):
             np.dot(Jr_t, Jr, product)
         with np.errstate(all="ignore"):
