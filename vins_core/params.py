@@ -314,12 +314,12 @@ class Loop:
     min_neighbour_score: Annotated[
         float, Range(0, 1), Doc("highest score of any keyframe (VINS: 0.05); 0: what the vocabulary says")
     ] = 0.0
-    max_hamming: Annotated[int, Range(10, 128), Doc("bits two matched descriptors may differ in (parity: 79)")] = 60
+    max_hamming: Annotated[int, Range(10, 128), Doc("bits two matched descriptors may differ in (parity: 79)")] = 80
     max_ratio: Annotated[
         float, Range(0.3, 1), Doc("differing bits over those of the best match elsewhere (parity: 1, off)")
-    ] = 0.85
+    ] = 0.9
     cross_check: Annotated[bool, Doc("a match must be the best from both sides (parity: off)")] = True
-    min_matches: Annotated[int, Range(6, 200), Doc("landmarks matched (VINS: 26)")] = 20
+    min_matches: Annotated[int, Range(6, 200), Doc("landmarks matched (VINS: 26)")] = 10
     epipolar: Annotated[
         Literal["essential", "fundamental", "off"], Doc("epipolar RANSAC over the matches (VINS: off)")
     ] = "essential"
@@ -327,8 +327,13 @@ class Loop:
         float, Range(0.5, 20), Doc("largest distance to the epipolar line (seed 000: 5; VINS: 3)", "px460")
     ] = 5.0
     epipolar_confidence: Annotated[float, Range(0.5, 0.9999), Doc("RANSAC confidence (VINS: 0.9)")] = 0.99
-    min_epipolar: Annotated[int, Range(6, 200), Doc("matches that agree on one epipolar geometry")] = 20
+    min_epipolar: Annotated[int, Range(6, 200), Doc("matches that agree on one epipolar geometry")] = 8
     pnp_px: Annotated[float, Range(1, 20), Doc("largest reprojection error of an inlier (parity: 10)", "px460")] = 6.0
+    guided_px: Annotated[
+        float,
+        Range(0, 50),
+        Doc("landmarks are searched for again this near to where the pose sees them (parity: 0)", "px460"),
+    ] = 12.0
     min_inliers: Annotated[int, Range(6, 200), Doc("landmarks that agree with the final pose (VINS: 26)")] = 20
     max_rms_px: Annotated[float, Range(0.5, 20), Doc("rms reprojection error of the inliers (parity: 20)", "px460")] = (
         4.0
@@ -345,7 +350,7 @@ class Loop:
         Literal["gravity", "euler"],
         Doc("heading difference: rotation about gravity, or difference of Euler yaws of the body (parity)"),
     ] = "gravity"
-    max_heading_deg: Annotated[float, Range(1, 180), Doc("heading difference (VINS: 30)", "deg")] = 45.0
+    max_heading_deg: Annotated[float, Range(1, 180), Doc("heading difference (VINS: 30)", "deg")] = 35.0
     max_distance_m: Annotated[float, Range(0.1, 1000), Doc("distance between the keyframes (VINS: 20)", "m")] = 20.0
 
 

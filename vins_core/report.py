@@ -290,6 +290,7 @@ class MatchStage(StrEnum):
     EPIPOLAR = "epipolar"
     PNP = "pose"
     INLIER = "inlier"
+    GUIDED = "found by the pose"  # an inlier that was searched for where the pose sees it
     MATCHED = "matched"  # and not looked at further
 
 
@@ -303,7 +304,7 @@ class LoopMatches:
 
     row: np.ndarray  # (n,) int32 of the earlier keyframe's points
     hamming: np.ndarray  # (n,) uint16 bits that differ
-    ratio: np.ndarray  # (n,) float32 over the bits of the best match elsewhere
+    ratio: np.ndarray  # (n,) float32 over the bits of the best match elsewhere; NaN when found by the pose
     stage: np.ndarray  # (n,) uint8, index into MATCH_STAGES
     error_px: np.ndarray  # (n,) float32 reprojection error at the final pose, px460; NaN without pose
 

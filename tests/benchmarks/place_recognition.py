@@ -140,7 +140,7 @@ def keyframes_of(run: RunReader, params: Params) -> tuple[list[LoopKeyframe], Tr
 
 def over_run(folder: Path, settings: list[str]) -> None:
     prepare()
-    params = parameters.replace(Params(), dict(parameters.parse_assignment(s) for s in settings))
+    params = parameters.replace(Params(), dict(s.split("=", 1) for s in settings))
     with RunReader(folder) as run:
         keyframes, truth, state, describe_ms = keyframes_of(run, params)
     T_true = _true_poses(keyframes, truth)

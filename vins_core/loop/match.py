@@ -51,8 +51,24 @@ def match(
     rival = np.where(_within(others_uv_px[row], others_uv_px), np.uint16(8 * 32), apart).min(1)
     back = np.argmin(distances(theirs[row, None], mine), axis=1)
     mutual = np.sum(np.square(uv_px[back] - uv_px[:n]), axis=1) <= SAME_PX**2
-    ratio = (nearest / np.maximum(rival, 1)).astype(np.float32)
+    ratio = np.where(rival, nearest / np.maximum(rival, 1), 1.0).astype(np.float32)
     return Matches(row.astype(np.int32), nearest, ratio, mutual)
+
+
+def search(
+    descriptors: np.ndarray, others: np.ndarray, near: np.ndarray, max_hamming: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The most similar point among those `near` (n, k) bool for each of n points, no two taking the same.
+
+    descriptors (n, 32), others (k, 32).  Returns which of the n points found one, its row and its distance.
+    """
+    apart = np.where(near, distances(packed(descriptors)[:, None], packed(others)), np.uint16(8 * 32 + 1))
+    row = np.argmin(apart, axis=1)
+    hamming = apart[np.arange(len(row)), row]
+    found = np.flatnonzero(hamming <= max_hamming)
+    found = found[np.argsort(hamming[found], kind="stable")]
+    found = np.sort(found[np.unique(row[found], return_index=True)[1]])  # of rivals the most similar
+    return found, row[found].astype(np.int32), hamming[found]
 
 
 def _within(a_px: np.ndarray, b_px: np.ndarray) -> np.ndarray:

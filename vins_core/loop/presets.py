@@ -35,6 +35,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "loop.cross_check": False,
             "loop.min_matches": 26,
             "loop.epipolar": "off",
+            "loop.guided_px": 0.0,
             "loop.pnp_px": 10.0,
             "loop.max_rms_px": 20.0,
             "loop.max_sigma_m": 100.0,

@@ -18,10 +18,12 @@ from ..params import Frontend, Loop
 from ..report import MATCH_STAGES, Gate, LoopCandidate, LoopMatches, MatchStage, all_pass
 from . import gates
 from .keyframe import LoopKeyframe
-from .match import Matches, match
+from .match import Matches, match, search
 
 PNP_SCALE = 3.0
 """`solve_pnp` counts inliers up to three of its robust scales."""
+SEARCHES = 2
+"""How often landmarks are searched for again with a pose: the second time it is a better one."""
 
 
 @dataclass(frozen=True)
@@ -99,19 +101,18 @@ def _thin(params: Loop, pair: Pair, found: Evidence) -> tuple[Evidence, tuple[Ga
 
 def _place(params: Loop, pair: Pair, found: Evidence) -> tuple[Evidence, tuple[Gate, ...]]:
     rows = np.flatnonzero(found.alive) if found.alive is not None else np.zeros(0, int)
-    if len(rows) < MIN_POINTS or found.matches is None or found.stage is None:
+    if len(rows) < MIN_POINTS or found.matches is None:
         return found, (gates.inliers(params, None), gates.rms(params, None), gates.sigma(params, None))
-    points_w, rays = pair.later.points_w[rows], _rays(pair.earlier, found.matches.row[rows])
-    pnp = solve_pnp(points_w, rays, pair.later.T_w_c, params.pnp_px / FOCAL_PX / PNP_SCALE)
-    assert pnp is not None  # there are points enough
-    stage = found.stage.copy()
-    stage[rows] = np.where(pnp.inlier, _code(MatchStage.INLIER), _code(MatchStage.PNP))
-    found = replace(found, stage=stage, pnp=pnp)
-    n, rms_px, sigma_m = pnp.n_inliers, None, None
+    placed = _solve(params, pair, rows, found.matches.row[rows], found.matches.hamming[rows], pair.later.T_w_c)
+    for _ in range(SEARCHES if params.guided_px else 0):
+        placed = _search_again(params, pair, placed)
+    found = _record(found, placed)
+    pnp, n, rms_px, sigma_m = placed.pnp, placed.pnp.n_inliers, None, None
     if n >= MIN_POINTS:
         T_w_match = _pose(pnp.T_w_c @ se3.inverse(pair.earlier.T_b_c))
         T_match_query = poses.between(T_w_match, pair.later.T_w_b)
         noise_rad = pnp.rms_rad * np.sqrt(n / (2 * n - 6))  # of one of the two coordinates
+        points_w, rays = pair.later.points_w[placed.rows], _rays(pair.earlier, placed.points)
         covariance = _relative_covariance(
             pose_covariance(pnp.T_w_c, points_w[pnp.inlier], rays[pnp.inlier], noise_rad),
             T_w_match,
@@ -122,6 +123,58 @@ def _place(params: Loop, pair: Pair, found: Evidence) -> tuple[Evidence, tuple[G
         rms_px = FOCAL_PX * pnp.rms_rad
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
     return found, (gates.inliers(params, n), gates.rms(params, rms_px), gates.sigma(params, sigma_m))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Landmarks (rows), the points of the earlier keyframe they are matched with, and the pose they give."""
+
+    rows: np.ndarray
+    points: np.ndarray
+    hamming: np.ndarray
+    pnp: Pnp
+
+
+def _solve(
+    params: Loop, pair: Pair, rows: np.ndarray, points: np.ndarray, hamming: np.ndarray, guess: np.ndarray
+) -> Placed:
+    rays = _rays(pair.earlier, points)
+    pnp = solve_pnp(pair.later.points_w[rows], rays, guess, params.pnp_px / FOCAL_PX / PNP_SCALE)
+    assert pnp is not None  # there are points enough
+    return Placed(rows, points, hamming, pnp)
+
+
+def _search_again(params: Loop, pair: Pair, placed: Placed) -> Placed:
+    """Match every landmark anew among the points near to where the pose sees it; keep what has more inliers.
+
+    Where there is little choice a match needs no ratio: self-similar scenes regain what that test cost them.
+    """
+    if placed.pnp.n_inliers < MIN_POINTS:
+        return placed
+    later, earlier = pair.later, pair.earlier
+    local = se3.transform(se3.inverse(placed.pnp.T_w_c), later.points_w)
+    cosine = (local / np.linalg.norm(local, axis=1, keepdims=True)) @ earlier.rays.T
+    near = cosine > np.cos(params.guided_px / FOCAL_PX)
+    matched = search(later.descriptors[: later.n_landmarks], earlier.descriptors, near, params.max_hamming)
+    if len(matched[0]) < MIN_POINTS:
+        return placed
+    again = _solve(params, pair, *matched, placed.pnp.T_w_c)
+    return again if again.pnp.n_inliers >= placed.pnp.n_inliers else placed
+
+
+def _record(found: Evidence, placed: Placed) -> Evidence:
+    """What the pose made of each match: those it dropped, those that support it, those it found itself."""
+    assert found.matches is not None and found.stage is not None and found.alive is not None
+    stage, row = found.stage.copy(), found.matches.row.copy()
+    hamming, ratio = found.matches.hamming.copy(), found.matches.ratio.copy()
+    stage[found.alive] = _code(MatchStage.PNP)
+    mine = placed.pnp.inlier
+    rows, points = placed.rows[mine], placed.points[mine]
+    anew = (row[rows] != points) | ~found.alive[rows]
+    stage[rows] = np.where(anew, _code(MatchStage.GUIDED), _code(MatchStage.INLIER))
+    row[rows], hamming[rows], ratio[rows[anew]] = points, placed.hamming[mine], np.nan
+    matches = replace(found.matches, row=row, hamming=hamming, ratio=ratio)
+    return replace(found, stage=stage, matches=matches, pnp=placed.pnp)
 
 
 def _check(params: Loop, pair: Pair, found: Evidence) -> tuple[Evidence, tuple[Gate, ...]]:

@@ -41,8 +41,9 @@ def test_only_the_first_points_are_matched_but_all_are_asked_back():
     assert not found.agreed(Loop()).any() and found.agreed(Loop(cross_check=False)).all()
 
 
-def test_a_point_seen_twice_is_ambiguous_but_not_when_both_are_one():
-    twice = np.concatenate([flipped(POINTS[:1], 10), flipped(POINTS[:1], 11, seed=3), POINTS[30:]])
+@pytest.mark.parametrize("n", [0, 10])
+def test_a_point_seen_twice_is_ambiguous_but_not_when_both_are_one(n):
+    twice = np.concatenate([flipped(POINTS[:1], n), flipped(POINTS[:1], n, seed=3), POINTS[30:]])
     for gap_px, distinct in ((3 * SAME_PX, False), (0.5 * SAME_PX, True)):
         uv = np.full((len(twice), 2), 500.0)
         uv[:2] = [[0.0, 0.0], [gap_px, 0.0]]

@@ -61,11 +61,31 @@ def test_wrong_matches_are_dropped_and_the_pose_does_not_feel_them(epipolar):
 
 def test_inliers_are_those_of_the_final_pose():
     found = verify(Loop(), pair(keyframe(NEARBY, noise_px=2.0), keyframe(HERE, noise_px=2.0)))
-    inlier = found.matches.stage == MATCH_STAGES.index(MatchStage.INLIER)
+    supports = [MATCH_STAGES.index(s) for s in (MatchStage.INLIER, MatchStage.GUIDED)]
+    inlier = np.isin(found.matches.stage, supports)
     assert gate(found, "pose inliers").value == inlier.sum()
     assert found.matches.error_px[inlier].max() <= Loop().pnp_px + 1e-3
     rms = np.sqrt(np.mean(np.square(found.matches.error_px[inlier].astype(float))))
     assert gate(found, "reprojection error").value == pytest.approx(rms, rel=1e-3)
+
+
+def test_a_pose_finds_the_matches_that_ambiguity_had_cost():
+    """Half of the landmarks have a double elsewhere in the earlier image: the ratio test drops them, the pose not."""
+    later, earlier = keyframe(NEARBY, noise_px=0.5), keyframe(HERE, noise_px=0.5)
+    doubled = replace(
+        earlier,
+        uv_px=np.concatenate([earlier.uv_px, earlier.uv_px + np.float32(90.0)]),
+        rays=np.concatenate([earlier.rays, np.roll(earlier.rays, 7, axis=0)]),
+        descriptors=np.concatenate([earlier.descriptors, np.where(
+            np.arange(len(earlier.descriptors))[:, None] % 2, earlier.descriptors, 255 - earlier.descriptors
+        ).astype(np.uint8)]),
+    )  # fmt: skip
+    plain, guided = (verify(Loop(guided_px=px), pair(later, doubled)) for px in (0.0, 12.0))
+    lost = plain.matches.stage == MATCH_STAGES.index(MatchStage.AMBIGUOUS)
+    assert lost.sum() > 10
+    regained = guided.matches.stage == MATCH_STAGES.index(MatchStage.GUIDED)
+    assert (regained & lost).sum() > 0.9 * lost.sum()
+    assert np.isnan(guided.matches.ratio[regained]).all() and guided.matches.error_px[regained].max() < 6.0
 
 
 def test_the_covariance_is_the_scatter_of_relative_poses():
