@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,8 @@ def experiment(run: RunView, body: Callable[[Experiment], Coroutine[Any, Any, No
         await body(knobs)
         knobs.close()
 
-    asyncio.run(main())
+    with ThreadPoolExecutor(1) as thread:  # a browser test leaves an event loop in the main one
+        thread.submit(asyncio.run, main()).result()
 
 
 async def answered(knobs: Experiment, run: RunView, frame: int = FRAME) -> ExperimentView:

@@ -15,11 +15,11 @@ from vins_core.sensors import Anomaly
 EVIL = """<img src=x onerror="alert('1')">'"`</div></svg><script>alert(2)</script>"""
 ELEMENTS = {
     "", "div", "span", "b", "i", "u", "a", "p", "kbd", "img", "code", "dl", "dt", "dd", "table", "thead", "tbody", "tr",
-    "th", "td", "svg", "g", "path", "rect", "circle", "polyline", "title",
+    "th", "td", "button", "svg", "g", "path", "rect", "circle", "polyline", "title",
 }  # fmt: skip
 HANDLER = re.compile(
     r"""vi\.send\(\{("k":"frame","i":\d+|"k":"pick","t":"track","i":\d+|k:'pick',t:'track',i:\d+"""
-    r"""|"k":"knob","key":"([^"\\]|\\.)*")\}\)|vi\.(scrub|wheel)\(event,this\)|vi\.pan\(event\)|vi\.reset\(\)"""
+    r"""|"k":"optimum"|"k":"knob","key":"([^"\\]|\\.)*")\}\)|vi\.(scrub|wheel)\(event,this\)|vi\.pan\(event\)|vi\.reset\(\)"""
 )
 
 
