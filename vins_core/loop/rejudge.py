@@ -16,24 +16,28 @@ from .step import decide, retrieval_gates
 from .vocabulary import ScoreLimits
 
 LIMITS = frozenset(
-    {"min_gap", "candidates", "order", "score", "min_score_ratio", "min_score", "min_neighbour_score", "min_matches"}
+    {"candidates", "order", "score", "min_score_ratio", "min_score", "min_neighbour_score", "min_matches"}
     | {"min_epipolar", "min_inliers", "max_rms_px", "max_sigma_m", "max_tilt_deg", "max_heading_deg", "max_distance_m"}
 )
 """Parameters of `loop` that only set limits."""
+
+_NAMES = list(gates.MEANING)
+_VERIFICATION = frozenset(_NAMES[_NAMES.index("matches") :])
 
 
 def rejudge(params: Loop, limits: ScoreLimits, report: LoopReport) -> LoopReport:
     """The report of `detect(..., evaluate_all=True)` as `params` would have had it.
 
-    They may differ from those it was made with in LIMITS, `candidates` and `min_gap` in one direction only: what was
-    never looked at stays unknown.
+    They may differ from those it was made with in LIMITS; `candidates` may only fall, for what was never looked at
+    stays unknown.  Raises ValueError for a report without all gates.
     """
+    if any(c.gates[-1].name != _NAMES[-1] for c in report.candidates):
+        raise ValueError("only a report of `detect(..., evaluate_all=True)` says what other limits decide")
     own = tuple(
         gates.distinctive(params, g.value, limits) if g.name == "distinctive" else _limited(params, g)
         for g in report.gates
     )
-    ranked = sorted(report.candidates, key=lambda c: (-c.score, c.match))
-    ranked = [c for c in ranked if report.keyframe - c.match - 1 >= params.min_gap][: params.candidates]
+    ranked = sorted(report.candidates, key=lambda c: (-c.score, c.match))[: params.candidates]
     judged = [_rejudged(params, limits, report, c, ranked) for c in ranked]
     if params.order == "oldest":
         judged.sort(key=lambda c: c.match)
@@ -76,10 +80,6 @@ def _rejudged(
     )
     verification = tuple(_limited(params, g) for g in candidate.gates if g.name in _VERIFICATION)
     return replace(candidate, gates=retrieval + verification)
-
-
-_NAMES = list(gates.MEANING)
-_VERIFICATION = frozenset(_NAMES[_NAMES.index("matches") :])
 
 
 def _limited(params: Loop, gate: Gate) -> Gate:

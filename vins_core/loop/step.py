@@ -53,7 +53,7 @@ def detect(params: Loop, state: LoopState, keyframe: LoopKeyframe, evaluate_all:
     """The loops of a keyframe that is about to be remembered.  Pure."""
     query = len(state)
     scores = state.index.scores(keyframe.bag)
-    order = np.argsort(-scores[: _eligible(params, query)], kind="stable")[: params.candidates]
+    order = _best(params, scores[: _eligible(params, query)])
     if params.order == "oldest":
         order = np.sort(order)
     own = _own_gates(params, state.limits, keyframe, scores)
@@ -128,20 +128,18 @@ def _eligible(params: Loop, query: int) -> int:
     return max(query - params.min_gap, 0)
 
 
+def _best(params: Loop, eligible: np.ndarray) -> np.ndarray:
+    """The candidates, the highest score first, the earlier among equals."""
+    return np.argsort(-eligible, kind="stable")[: params.candidates]
+
+
 def _pair(params: Loop, state: LoopState, keyframe: LoopKeyframe, scores: np.ndarray, match: int) -> Pair:
     query, mine = len(scores), scores[match]
     eligible = scores[: _eligible(params, query)]
     rank = 1 + np.count_nonzero(eligible > mine) + np.count_nonzero(eligible[:match] == mine)
-    best = np.argsort(-eligible, kind="stable")[: params.candidates]
-    judged = retrieval_gates(
-        params,
-        state.limits,
-        neighbour_score(scores),
-        query - match - 1,
-        float(mine),
-        int(rank),
-        scores[best[best < match]],
-    )
+    others = _best(params, eligible) if params.order == "oldest" else np.zeros(0, int)
+    neighbour, rivals = neighbour_score(scores), scores[others[others < match]]
+    judged = retrieval_gates(params, state.limits, neighbour, query - match - 1, float(mine), int(rank), rivals)
     return Pair(query, match, keyframe, state.keyframes[match], float(mine), judged)
 
 

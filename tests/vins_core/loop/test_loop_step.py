@@ -152,7 +152,6 @@ def test_thinning_leaves_out_what_its_gates_say():
 def random_limits(rng):
     """Limits near where decisions are, drawn at random."""
     return {
-        "loop.min_gap": int(rng.integers(GAP, 12)),
         "loop.candidates": int(rng.integers(1, 5)),
         "loop.order": str(rng.choice(["best", "oldest"])),
         "loop.score": str(rng.choice(["relative", "absolute"])),
@@ -179,13 +178,18 @@ def test_other_limits_judged_from_the_gates_decide_as_a_run_with_them(state, aga
     for _ in range(40):
         chosen = random_limits(rng)
         some = {k: chosen[k] for k in rng.permutation(list(chosen))[: rng.integers(1, 5)]}
-        params = replace(parameters.replace(Params(), {"loop.min_gap": GAP} | some).loop)
+        params = parameters.replace(Params(), {"loop.min_gap": GAP} | some).loop
         for query, report in zip(queries, recorded):
             told, run = rejudge(params, state.limits, report), step.detect(params, state, query)
             assert (told.accepted and told.accepted.match) == (run.accepted and run.accepted.match)
             assert told.gates == run.gates and told.outcome is run.outcome
             changed += (report.accepted is None) != (run.accepted is None)
     assert changed > 20
+
+
+def test_a_report_that_stopped_early_cannot_be_judged_again(state, again):
+    with pytest.raises(ValueError, match="evaluate_all"):
+        rejudge(PARAMS, state.limits, step.detect(PARAMS, state, again))
 
 
 def test_the_smallest_change_is_just_enough(state, again):
