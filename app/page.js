@@ -130,9 +130,9 @@
     },
     true,
   );
-  // A focused tab, slider or button would swallow the next key.
+  // A focused tab, slider, box or button would swallow the next key.
   document.addEventListener("click", (e) => {
-    if (e.target.closest("[role=tab], [role=slider], button")) document.activeElement?.blur();
+    if (e.target.closest("[role=tab], [role=slider], [type=checkbox], button")) document.activeElement?.blur();
     setTimeout(vi.report, 30);
   });
 })();

@@ -248,7 +248,7 @@ def test_a_layout_of_ones_own_is_saved_and_offered(page: Page, server: Server) -
     session = session_of(server)
     wait_until(page, lambda: session._boxes["imu.edges"].value is False)
     server._viser.get_event_loop().call_soon_threadsafe(session.save_layout, "My view")
-    wait_until(page, lambda: session.layout.title == "My view")
+    page.wait_for_function("location.search.includes('layout=my-view')")
     page.keyboard.press("Alt+1")
     wait_until(page, lambda: session.layout.name == "default")
     assert session.layout.layers.get("imu.edges", True)
