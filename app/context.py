@@ -29,11 +29,9 @@ survive new content; `--vi-head` is the shown frame's place in the run, 0..1, so
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from vins_core.report import FrameReport, FrameSummary, Timings
 from vins_core.sensors import Trajectory
@@ -77,7 +75,6 @@ class RunView:
         self.report = lru_cache(maxsize=400)(reader.report)
         self.prior = lru_cache(maxsize=32)(self._prior)
         self._series = run_series([], None)
-        self._leaks: list[np.ndarray] = []
         self._reading = threading.Lock()
 
     def __len__(self) -> int:
@@ -108,28 +105,13 @@ class RunView:
         """Arrays over the frames read so far."""
         if len(self._series) != len(self.summaries):
             self._series = run_series(self.summaries, self.truth)
-        known = self._leaks[: len(self._series)]  # grows in another thread
-        if self._series.leaks_known != len(known):
-            leak = np.full((len(self._series), 4), np.nan)
-            leak[: len(known)] = known
-            self._series = replace(self._series, leak=leak, leaks_known=len(known))
         return self._series
 
     def _prior(self, k: int) -> PriorView | None:
         """The prior after frame k; RunError when the record does not hold states."""
         from .prior import prior_view  # with it comes the estimator
 
-        return prior_view(self.reader.state(k).window, self.header.params.marginalization.eigen_threshold)
-
-    def read_leaks(self, at_most: int = GATE_SLICE) -> int:
-        """Work out what leaked into the next frames' priors; returns how many frames are still missing."""
-        from .prior import leaked
-
-        with self._reading:
-            for k in range(len(self._leaks), min(len(self._leaks) + at_most, len(self))):
-                prior = self.reader.state(k).window.prior
-                self._leaks.append(leaked(prior) if prior else np.full(4, np.nan))
-            return len(self) - len(self._leaks)
+        return prior_view(self.reader, k)
 
     @cached_property
     def gates(self) -> GateHistory:

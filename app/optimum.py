@@ -5,17 +5,13 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from vins_core.errors import RunError, VinspectError
-from vins_core.pipeline import receive
-from vins_core.record.fork import state_before
+from vins_core.examine import solved_window
 from vins_core.record.recording import RunReader
-from vins_core.solver import backend
 from vins_core.solver.ipopt import Comparison, compare_optimum
 from vins_core.solver.trust_region import rules
-from vins_core.whatif import recorded_tracks
-from vins_core.window.step import Solved, solve_window
 
 from .context import RunView
 
@@ -32,17 +28,6 @@ class OptimumView:
     frames: tuple[int, ...] = ()  # of its slots
     busy: bool = False
     problem: str = ""
-
-
-def solve_recorded(run: RunReader, k: int) -> Solved:
-    """The solve of frame k once more, from the record; RunError when there was none."""
-    params, calibration = run.header.params_at(k), run.header.calibration
-    state, packet = state_before(run, k), run.packet(k)
-    with backend.using(backend.recorded(run.header.backend)):
-        arrived = receive(params, calibration, state, packet, recorded_tracks(run, k, params), {})
-        if not arrived.ready:
-            raise RunError(f"frame {k} was not solved: the estimator is {arrived.report.status}")
-        return solve_window(params, arrived.calibration, arrived.state.window, {})
 
 
 class Optimum:
@@ -82,10 +67,10 @@ class Optimum:
 
 
 def compared(run: RunReader, frame: int) -> OptimumView:
-    turn = solve_recorded(run, frame)
-    holds = rules(run.header.params_at(frame).solver).holds_gauge
-    found = compare_optimum(turn.assembly.problem, turn.solution, holds)
-    ids = tuple(turn.assembly.ids.tolist())
-    return replace(
-        OptimumView(frame), comparison=found, landmarks=ids, frames=tuple(f.frame for f in turn.window.frames)
-    )
+    turn = solved_window(run, frame)
+    if turn is None:
+        raise RunError(f"frame {frame} was not solved: the estimator is {run.report(frame).status}")
+    solved, holds = turn.solved, rules(run.header.params_at(frame).solver).holds_gauge
+    found = compare_optimum(solved.assembly.problem, solved.solution, holds)
+    ids = tuple(solved.assembly.ids.tolist())
+    return OptimumView(frame, found, ids, tuple(f.frame for f in solved.window.frames))

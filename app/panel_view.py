@@ -67,7 +67,7 @@ class PanelView:
 
 def _of_run(ctx: PanelContext) -> object:
     other = (id(ctx.other.run), len(ctx.other.run)) if ctx.other else ()
-    return id(ctx.run), len(ctx.run), ctx.run.series.leaks_known, ctx.signals, other
+    return id(ctx.run), len(ctx.run), ctx.signals, other
 
 
 def message(key: str, sentence: str) -> str:

@@ -6,7 +6,7 @@ Computed from the frame summaries alone, so that opening a long run stays fast.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,9 +47,8 @@ class RunSeries:
     error_m: np.ndarray  # position error after that alignment
     ate_m: np.ndarray  # RMSE of `error_m` up to this frame
     ms: dict[str, np.ndarray]  # milliseconds per stage (see report.Timings)
+    yaw_leak: np.ndarray  # 1/rad^2, what the frame's new prior claims to know of yaw
     events: tuple[Event, ...]
-    leak: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))  # (n, 4) see prior.leaked; filled later
-    leaks_known: int = 0  # frames of `leak` that are
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -93,6 +92,7 @@ def run_series(summaries: Sequence[FrameSummary], truth: Trajectory | None) -> R
         error_m=error,
         ate_m=ate,
         ms={name: np.array([s.ms.get(name, np.nan) for s in summaries]) for name in stages},
+        yaw_leak=np.array([np.nan if s.yaw_information is None else s.yaw_information for s in summaries], float),
         events=tuple(_events(summaries)),
     )
 

@@ -99,7 +99,6 @@ class Session:
         self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
         self._page = int(client.camera.image_width), int(client.camera.image_height)
         self._canvas = 0
-        self._leaking = False
         self._tasks: set[asyncio.Task[None]] = set()
         self.other: OpenRun | None = None
         """The run compared with."""
@@ -537,7 +536,6 @@ class Session:
                 resolved = solved.after.window if solved else None
                 frame = replace(frame, other=ctx.other, resolved=resolved, uncertainty=known)
                 self.scene.update(frame)
-                self._read_leaks(run)
                 self._aim(frame)
 
     def _context(self, run: RunView, k: int) -> PanelContext:
@@ -566,18 +564,6 @@ class Session:
             prior_side=self.prior_side,
             departure=self._departure(run, k),
         )
-
-    def _read_leaks(self, run: RunView) -> None:
-        """Work out in a thread what leaked into the priors, while somebody looks at it."""
-        shown = "prior" in self._visible or any(name.startswith("leak.") for name in self.layout.signals)
-        if self._leaking or not shown or run.series.leaks_known >= len(run):
-            return
-        self._leaking = True
-
-        def done() -> None:
-            self._leaking = False
-
-        self._background(run.read_leaks, done)
 
     def _departure(self, run: RunView, k: int) -> DepartureView | None:
         wanted = "prior" in self._visible and self.prior_side != "after"

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vins_core import examine
 from vins_core.geometry import so3
-from vins_core.solver.covariance import covariances, ellipsoid
+from vins_core.solver.covariance import ellipsoid
 
 from .context import RunView
-from .optimum import solve_recorded
 
 
 @dataclass(frozen=True)
@@ -30,19 +30,18 @@ class Uncertainty:
 
 
 def uncertainty(run: RunView, frame: int) -> Uncertainty | None:
-    """None where the window does not determine its states; RunError for a frame that was not solved."""
-    turn, report = solve_recorded(run.reader, frame), run.report(frame)
-    found = covariances(turn.assembly.problem, turn.solution.states)
-    if found is None or report.window is None or report.landmarks is None:
+    """None where the window was not solved, or does not determine its states."""
+    known, report = examine.uncertainty(run.reader, frame), run.report(frame)
+    if known is None or report.window is None or report.landmarks is None:
         return None
-    marks = report.landmarks
+    marks, spread = report.landmarks, known.covariances
     row = {int(id): k for k, id in enumerate(marks.ids)}
-    kept = [k for k, id in enumerate(turn.assembly.ids.tolist()) if id in row]
-    kept = [k for k in kept if np.isfinite(found.landmarks_w[k]).all()]
-    ids = turn.assembly.ids[kept]
+    kept = [k for k, id in enumerate(known.ids.tolist()) if id in row]
+    kept = [k for k in kept if np.isfinite(spread.landmarks_w[k]).all()]
+    ids = known.ids[kept]
     places = marks.xyz_w[[row[int(id)] for id in ids]].astype(float).reshape(-1, 3)
     return Uncertainty(
-        _ellipsoids(report.window.p_w_b, found.poses[:, :3, :3]), _ellipsoids(places, found.landmarks_w[kept]), ids
+        _ellipsoids(report.window.p_w_b, spread.poses[:, :3, :3]), _ellipsoids(places, spread.landmarks_w[kept]), ids
     )
 
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 from vins_core.errors import VinspectError
-from vins_core.params import DECLARATIONS
 from vins_core.report import MarginalizationReport
+from vins_core.solver.spectrum import GAUGE
 
 from ..context import PanelContext
 from ..html import (
@@ -31,7 +31,7 @@ from ..html import (
     unit,
 )
 from ..palette import BAD, OK
-from ..prior import DIRECTIONS, FREE, PriorView
+from ..prior import FREE, PriorView
 from ..widgets.matrix import heat_map, log_range, scale
 from ..widgets.prior import spectrum
 
@@ -40,7 +40,7 @@ ICON = "GRID_DOTS"
 KEY = "prior"
 
 FIRST_ESTIMATES = "marginalization.first_estimates"
-"""The parameter that keeps linearisation points, where this version has it."""
+"""The parameter that keeps linearisation points."""
 
 
 def render(ctx: PanelContext) -> str:
@@ -120,12 +120,13 @@ def _null_space(prior: PriorView) -> Iterator[Html]:
                 ),
                 kinds,
             )
-            for name, leak in zip(DIRECTIONS, prior.leaks)
+            for name, leak in zip(GAUGE, prior.leaks)
         ),
     )
-    if FIRST_ESTIMATES in DECLARATIONS:
-        knob = tag("a", FIRST_ESTIMATES, cls="vi-link", onclick=send(k="knob", key=FIRST_ESTIMATES))
-        yield tag("div", muted("what if Jacobians kept their first estimates: "), knob, cls="vi-p")
+    knob = tag("a", FIRST_ESTIMATES, cls="vi-link", onclick=send(k="knob", key=FIRST_ESTIMATES))
+    yield tag("div", muted("what if Jacobians kept their first estimates: "), knob, cls="vi-p")
+    held = text((strong(number(prior.held_cost)), muted(" of its cost "), number(prior.cost)))
+    yield tag("div", held, muted(" can no solve lower: extrinsics, position and yaw are held"), cls="vi-small")
 
 
 _LOWEST, _HIGHEST = -24.0, 6.0

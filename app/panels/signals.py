@@ -43,10 +43,6 @@ def _norm(rows: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rows, axis=1)
 
 
-def _leak(series: RunSeries) -> np.ndarray:
-    return series.leak if len(series.leak) == len(series) else np.full((len(series), 4), np.nan)
-
-
 SIGNALS = (
     Signal("ate", "ATE", "ate", ESTIMATE, lambda s: 100 * s.ate_m, "cm"),
     Signal("cost", "total cost", "cost", PLAIN, lambda s: s.cost.sum(1)),
@@ -58,8 +54,7 @@ SIGNALS = (
     Signal("solve", "solve", "ms", PLAIN, lambda s: s.ms.get("solve", np.full(len(s), np.nan)), "ms"),
     Signal("b_a", "|b_a|", "b_a", IMU, lambda s: _norm(s.b_a), "m/s^2"),
     Signal("b_g", "|b_g|", "b_g", IMU, lambda s: _norm(s.b_g), "rad/s"),
-    Signal("leak.yaw", "yaw leak", "prior.yaw", PRIOR, lambda s: _leak(s)[:, 3], "1/rad²", least=FREE),
-    Signal("leak.position", "position leak", "prior.leak", PRIOR, lambda s: _leak(s)[:, :3].max(1), "1/m²", least=FREE),
+    Signal("leak.yaw", "yaw leak", "prior.yaw", PRIOR, lambda s: s.yaw_leak, "1/rad²", least=FREE),
     Signal("speed", "speed", "speed", PLAIN, lambda s: _norm(s.v_w_b), "m/s"),
 )
 

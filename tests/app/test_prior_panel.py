@@ -12,10 +12,11 @@ from sample import INITIALISED
 
 from app.context import RunView, Selection
 from app.panels import prior as panel
-from app.prior import DIRECTIONS, FREE, departure_view, prior_view
+from app.prior import FREE, departure_view, prior_view
 from app.widgets.matrix import MatrixBlock, colours, heat_map, log_range
 from vins_core.geometry import so3
 from vins_core.record.recording import RunReader
+from vins_core.solver.spectrum import GAUGE
 from vins_core.window.state import Prior
 
 FRAME = 30
@@ -43,13 +44,13 @@ def moved(prior: Prior, direction: str, step: float) -> np.ndarray:
     return np.concatenate(parts) / step
 
 
-@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("direction", GAUGE)
 def test_leaks_are_what_really_moving_the_window_costs(run: RunView, direction: str) -> None:
     prior, seen = run.reader.state(FRAME).window.prior, run.prior(FRAME)
     assert prior is not None and seen is not None
     n = moved(prior, direction, 1e-6)
     leak = float(np.square(prior.J @ n).sum())
-    assert seen.leaks[DIRECTIONS.index(direction)] == pytest.approx(leak, rel=1e-3, abs=1e-6)
+    assert seen.leaks[GAUGE.index(direction)] == pytest.approx(leak, rel=1e-3, abs=1e-6)
 
 
 def test_leaks_are_those_that_marginalisation_reported(run: RunView) -> None:
@@ -68,8 +69,7 @@ def test_position_stays_free_and_heading_leaks_more_and_more(run: RunView) -> No
 
 
 def test_a_prior_linearised_at_the_current_states_knows_no_heading(run: RunView) -> None:
-    window = run.reader.state(INITIALISED).window
-    seen = prior_view(window, 1e-8)
+    seen = prior_view(run.reader, INITIALISED)
     assert seen is not None and (seen.leaks < 1e-9).all()
 
 

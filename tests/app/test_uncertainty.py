@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from app.context import RunView, Selection
-from app.optimum import compared, solve_recorded
+from app.optimum import compared
 from app.scene.frame import SceneFrame
 from app.scene.uncertainty import drawn, enlargement
 from app.uncertainty import uncertainty
+from vins_core import examine
 from vins_core.errors import RunError
 from vins_core.geometry import so3
 from vins_core.record.recording import RunReader
-from vins_core.solver.covariance import covariances
 
 FRAME = 28
 
@@ -26,21 +26,15 @@ def run(sample_run: Path) -> RunView:
     return RunView(RunReader(sample_run))
 
 
-def test_the_solve_repeated_from_the_record_is_the_recorded_one(run: RunView) -> None:
-    turn, recorded = solve_recorded(run.reader, FRAME), run.report(FRAME).solve
-    assert recorded is not None
-    assert (turn.report.before, turn.report.after) == (recorded.before, recorded.after)
-
-
 def test_a_frame_that_was_not_solved_says_so(run: RunView) -> None:
     with pytest.raises(RunError, match="frame 4 was not solved"):
         compared(run.reader, 4)
 
 
 def test_ellipsoids_have_the_shape_of_the_covariance(run: RunView) -> None:
-    known, turn = uncertainty(run, FRAME), solve_recorded(run.reader, FRAME)
-    found = covariances(turn.assembly.problem, turn.solution.states)
-    assert known is not None and found is not None
+    known, examined = uncertainty(run, FRAME), examine.uncertainty(run.reader, FRAME)
+    assert known is not None and examined is not None
+    found = examined.covariances
     turns = so3.to_matrix(known.poses.wxyz)
     shapes = np.einsum("kij,kj,klj->kil", turns, known.poses.axes**2 / 9, turns)
     np.testing.assert_allclose(shapes, found.poses[:, :3, :3], atol=1e-12)

@@ -271,13 +271,29 @@ def test_a_block_of_the_prior_selects_both_its_frames(page: Page, server: Server
     expect(panel.locator(".vi-picked")).to_have_count(4)
 
 
+def test_the_matrix_is_shown_before_and_after_marginalisation(page: Page, server: Server) -> None:
+    page.keyboard.press("Alt+4")
+    view = session_of(server).opened.view
+    frame = next(k for k in range(FRAME, len(view)) if view.report(k).marginalization.kind == "MARGIN_OLD")
+    page.evaluate(f"vi.send({{k: 'frame', i: {frame}}})")
+    wait_for_frame(page, frame)
+    report = view.report(frame).marginalization
+    for side, size in (("before", report.m + report.n), ("fill-in", report.n), ("after", report.n)):
+        page.get_by_role("button", name=side, exact=True).click()
+        expect(page.locator("[data-vip=prior] [data-matrix]")).to_have_attribute("data-matrix", str(size))
+        expect(page.get_by_role("button", name=side, exact=True)).to_have_attribute("aria-pressed", "true")
+    page.locator("[data-vip=prior] .vi-link", has_text="first_estimates").click()
+    expect(page.locator("[data-knob='marginalization.first_estimates']")).to_be_in_viewport()
+
+
 def test_what_leaked_over_time_is_a_signal(page: Page, server: Server) -> None:
     page.keyboard.press("Alt+4")
-    page.locator("[data-signal='leak.yaw']").wait_for()
     view = session_of(server).opened.view
-    wait_until(page, lambda: view.series.leaks_known == len(view))
+    frame = next(k for k in range(len(view) - 1, 0, -1) if view.report(k).marginalization.kind == "MARGIN_OLD")
+    page.evaluate(f"vi.send({{k: 'frame', i: {frame}}})")
+    wait_for_frame(page, frame)
     shown = page.locator("[data-signal='leak.yaw']").inner_text()
-    assert float(shown.split()[0]) == pytest.approx(float(view.prior(FRAME).leaks[3]), rel=0.01)
+    assert float(shown.split()[0]) == pytest.approx(float(view.prior(frame).leaks[3]), rel=0.01)
 
 
 def test_ipopt_says_whether_this_is_the_optimum(page: Page) -> None:
