@@ -347,6 +347,47 @@ class LoopReport:
 
 
 @dataclass(frozen=True)
+class RelocalizationReport:
+    """An earlier keyframe as one window solve placed it (REFERENCE 12), and whether that may become an edge.
+
+    One row per landmark of the request that took part in the solve; errors in px460.
+    """
+
+    query: int  # the later keyframe, counted over the session
+    match: int  # the earlier one
+    frame: int  # frame number of the later keyframe
+    ids: np.ndarray  # (n,) int64 track ids
+    error_px: np.ndarray  # (2, n) float32, before and after the solve
+    T_w_match: np.ndarray  # (7,) p and q wxyz: the earlier body, refined, in the odometry's world
+    T_match_query: np.ndarray  # (7,) the later body in the earlier one, both refined
+    covariance: np.ndarray | None  # (6, 6) of T_match_query, tangent (dp, dtheta): p + dp, q * Exp(dtheta)
+    gates: tuple[Gate, ...] = ()  # of loop/relocalize.py
+    drift: np.ndarray | None = None  # (7,) T_g_w, what moves the odometry's world to the graph's; None until known
+
+    @property
+    def n_factors(self) -> int:
+        return len(self.ids)
+
+    @property
+    def error_px_before(self) -> float:
+        """rms, NaN without factors."""
+        return _rms(self.error_px[0])
+
+    @property
+    def error_px_after(self) -> float:
+        return _rms(self.error_px[1])
+
+    @property
+    def accepted(self) -> bool:
+        """It has been judged, and passed every gate."""
+        return bool(self.gates) and all_pass(self.gates)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values.astype(float))))) if len(values) else float("nan")
+
+
+@dataclass(frozen=True)
 class GraphCost:
     """Robust costs 1/2 sum rho(|r|^2) per kind of edge."""
 
