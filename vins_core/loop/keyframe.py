@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ..window.assemble import gather_tracks
 from ..window.landmarks import camera_poses
 from ..window.state import TRIANGULATED, WindowState
 from .describe import Describer
+from .index import InvertedIndex
 from .vocabulary import BagOfWords, Vocabulary
 
 
@@ -96,19 +98,46 @@ def landmarks_seen(window: WindowState, slot: int) -> tuple[np.ndarray, np.ndarr
 
 
 class Keyframes(Sequence[LoopKeyframe]):
-    """A list that only grows, shared by all states of a run: each of them refers to a beginning of it."""
+    """A list that only grows, shared by all states of a run: each of them refers to a beginning of it.
 
-    def __init__(self, keyframes: Iterable[LoopKeyframe] = ()) -> None:
-        self._all = list(keyframes)
+    `earlier`: keyframes that come before its own, wherever they are kept (a record, a loaded map).
+    Its inverted index is derived: made when it is asked for, and kept for the newest length that was.
+    """
+
+    def __init__(self, earlier: Sequence[LoopKeyframe] = ()) -> None:
+        self._earlier, self._n_earlier = earlier, len(earlier)
+        self._own: list[LoopKeyframe] = []
+        self._index = InvertedIndex()
+        self._lock = Lock()
 
     def __len__(self) -> int:
-        return len(self._all)
+        return self._n_earlier + len(self._own)
 
     def __getitem__(self, k):
-        return self._all[k]
+        if isinstance(k, slice):
+            return [self[i] for i in range(*k.indices(len(self)))]
+        if k < 0:
+            k += len(self)
+        return self._earlier[k] if k < self._n_earlier else self._own[k - self._n_earlier]
 
     def extended(self, n: int, keyframe: LoopKeyframe) -> Keyframes:
         """The first n and one more: this list itself when it has no others, else a list of its own (a fork)."""
-        store = self if n == len(self._all) else Keyframes(self._all[:n])
-        store._all.append(keyframe)
-        return store
+        with self._lock:
+            if n == len(self):
+                self._own.append(keyframe)
+                return self
+        fork = Keyframes(self[:n])
+        fork._own.append(keyframe)
+        return fork
+
+    def inverted(self, n: int) -> InvertedIndex:
+        """The inverted index of the first n."""
+        with self._lock:
+            known = self._index if len(self._index) <= n else InvertedIndex()
+            if len(known) == 0 and n > 1:
+                known = InvertedIndex.of([self[k].bag for k in range(n)])
+            while len(known) < n:
+                known = known.add(self[len(known)].bag)
+            if n >= len(self._index):
+                self._index = known
+            return known

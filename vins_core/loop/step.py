@@ -25,19 +25,23 @@ from .vocabulary import ScoreLimits
 class LoopState:
     """What the loop stage carries from keyframe to keyframe."""
 
-    keyframes: Keyframes  # shared by all states of a run; the first len(state) belong to this one
-    index: InvertedIndex
+    keyframes: Keyframes  # shared by all states of a run; the first `n` belong to this one
     limits: ScoreLimits  # of the vocabulary
+    n: int = 0
     seen: int = 0  # keyframes offered so far, used or not
     since: int = 0  # of them from the last one used on
 
     def __len__(self) -> int:
-        return len(self.index)
+        return self.n
+
+    @property
+    def index(self) -> InvertedIndex:
+        return self.keyframes.inverted(self.n)
 
 
 def begin(limits: ScoreLimits) -> LoopState:
     """The state before the first keyframe."""
-    return LoopState(Keyframes(), InvertedIndex(), limits)
+    return LoopState(Keyframes(), limits)
 
 
 def admit(params: Loop, state: LoopState, p_w_b: np.ndarray) -> tuple[LoopState, tuple[Gate, ...]]:
@@ -82,7 +86,7 @@ def examine(params: Loop, state: LoopState, query: int, match: int) -> LoopRepor
 def remember(state: LoopState, keyframe: LoopKeyframe) -> LoopState:
     """The state with the keyframe in it."""
     keyframes = state.keyframes.extended(len(state), keyframe)
-    return replace(state, keyframes=keyframes, index=state.index.add(keyframe.bag), since=1)
+    return replace(state, keyframes=keyframes, n=state.n + 1, since=1)
 
 
 def decide(report: LoopReport, candidates: Iterable[LoopCandidate]) -> LoopReport:
