@@ -18,7 +18,10 @@ import numpy as np
 
 from ..errors import CalibrationError
 from .kannala_brandt import KannalaBrandt
+from .mei import Mei
 from .pinhole_radtan import PinholeRadtan
+from .pinhole_rational import PinholeRational
+from .scaramuzza import Scaramuzza
 
 
 class CameraModel(Protocol):
@@ -41,7 +44,9 @@ class CameraModel(Protocol):
         ...
 
 
-MODELS: Mapping[str, type[Any]] = MappingProxyType({model.name: model for model in (PinholeRadtan, KannalaBrandt)})
+MODELS: Mapping[str, type[Any]] = MappingProxyType(
+    {model.name: model for model in (PinholeRadtan, PinholeRational, KannalaBrandt, Mei, Scaramuzza)}
+)
 
 
 def camera_from_dict(model: str, **values: float) -> CameraModel:

@@ -39,7 +39,7 @@ class KannalaBrandt:
         X, Y, Z = np.asarray(points_c, float).T
         radius = np.hypot(X, Y)
         theta = np.arctan2(radius, Z)
-        theta_d = radial.value_and_slope(self._k, theta)[0]
+        theta_d = self._radius(theta)[0]
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(radius == 0, 0.0, theta_d / radius)
         uv = np.stack([self.fx * scale * X + self.cx, self.fy * scale * Y + self.cy], -1)
@@ -50,10 +50,13 @@ class KannalaBrandt:
         u, v = np.asarray(uv_px, float).T
         x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
         theta_d = np.hypot(x, y)
-        theta = radial.invert(self._k, theta_d, self._max_theta)
+        theta = radial.invert(self._radius, theta_d, self._max_theta)
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(theta_d == 0, 1.0, np.sin(theta) / theta_d)
         return np.stack([scale * x, scale * y, np.cos(theta)], -1)
+
+    def _radius(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return radial.value_and_slope(self._k, theta)
 
     @property
     def _k(self) -> tuple[float, float, float, float]:
