@@ -278,6 +278,12 @@ class PoseGraph:
         Literal["weighted", "unweighted"],
         Doc("the loss sees the residual with loop_weight (parity) or without it (seed 000.4)"),
     ] = "weighted"
+    period_s: Annotated[
+        float, Range(0, 60), Doc("recording time between two optimisations that new loops ask for (Q4: 2)", "s")
+    ] = 1.0
+    delay_s: Annotated[
+        float, Range(0, 10), Doc("recording time after which the result of an optimisation is used", "s")
+    ] = 0.5
     max_iterations: Annotated[int, Range(1, 200), Doc("iterations of one optimisation (parity: 5)")] = 10
     function_tolerance: Annotated[float, Range(0, 1e-2), Doc("stop when the cost falls by a smaller share")] = 1e-6
     initial_radius: Annotated[
@@ -289,6 +295,10 @@ class PoseGraph:
 class Loop:
     """Loop closure: which keyframes are described, retrieved, and what verifies them (REFERENCE 15, 16)."""
 
+    enabled: Annotated[bool, Doc("close loops; needs the vocabulary that a run with loops keeps")] = True
+    relocalize: Annotated[
+        int, Range(0, 10), Doc("how many accepted loops the window refines at a time (VINS: 1; 0: none)")
+    ] = 1
     max_corners: Annotated[int, Range(0, 3000), Doc("FAST corners described beside the tracks (seed 004.24: 500)")] = (
         500
     )

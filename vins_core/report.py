@@ -425,6 +425,39 @@ class PoseGraphReport:
 
 
 @dataclass(frozen=True)
+class KeyframeEntry:
+    """A keyframe as it entered the pose graph."""
+
+    number: int  # counted over all sessions
+    session: int
+    frame: int
+    t_ns: int
+    T_vio: np.ndarray  # (7,) p and q wxyz of the body in the odometry's world
+
+
+@dataclass(frozen=True)
+class LoopEdge:
+    """An accepted loop as it entered the pose graph, once its keyframe had left the window."""
+
+    earlier: int
+    later: int
+    T_i_j: np.ndarray  # (7,) the later body in the earlier one
+    refined: bool  # by the window; else as PnP left it
+
+
+@dataclass(frozen=True)
+class ClosureReport:
+    """What loop closing made of one frame (SPEC 7)."""
+
+    keyframe: KeyframeEntry | None  # that this frame made
+    loop: LoopReport | None  # of a keyframe that this frame made, used or left out
+    edges: tuple[LoopEdge, ...]  # that entered the graph in this frame, before its keyframe
+    graph: PoseGraphReport | None  # of an optimisation whose result is used from this frame on
+    drift: np.ndarray  # (7,) T_g_o of this session by the graph: accurate, late (seed 000.3.3.5)
+    fast_drift: np.ndarray  # (7,) the same by the newest loop: at once
+
+
+@dataclass(frozen=True)
 class PoseEstimate:
     """The newest frame's state right after its own solve; never revised afterwards."""
 
@@ -454,10 +487,25 @@ class FrameReport:
     marginalization: MarginalizationReport | None = None
     health: HealthReport | None = None
     pose: PoseEstimate | None = None
+    relocalizations: tuple[RelocalizationReport, ...] = ()  # earlier keyframes that the window saw again
+    closure: ClosureReport | None = None  # None before the first keyframe, and where loops are not closed
 
 
 Timings = dict[str, float]
-"""Milliseconds per stage of one frame: decode, track, preintegrate, initialize, solve, marginalize, slide, record."""
+"""Milliseconds per stage of one frame: decode, track, preintegrate, initialize, solve, marginalize, slide, describe,
+loop, graph, record."""
+
+
+@dataclass(frozen=True)
+class ClosureSummary:
+    """What a frame added to the pose graph, and what loop closing said."""
+
+    keyframe: KeyframeEntry | None
+    outcome: LoopOutcome | None  # of a keyframe that this frame made
+    match: int  # the keyframe that it closes a loop with, -1 for none
+    edges: tuple[LoopEdge, ...]
+    optimized: bool
+    drift: np.ndarray  # (7,)
 
 
 @dataclass(frozen=True)
@@ -485,6 +533,7 @@ class FrameSummary:
     ms: Timings
     degeneracy: str = ""  # "" or which motion the window is missing
     yaw_information: float | None = None  # what the prior made in this frame claims to know of yaw, 1/rad^2
+    closure: ClosureSummary | None = None
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
@@ -514,4 +563,17 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         ms=ms,
         degeneracy=report.health.degeneracy if report.health else "",
         yaw_information=float(margin.gauge_information[3]) if margin and margin.kind != "none" else None,
+        closure=_summarize_closure(report.closure) if report.closure else None,
+    )
+
+
+def _summarize_closure(report: ClosureReport) -> ClosureSummary:
+    loop = report.loop
+    return ClosureSummary(
+        keyframe=report.keyframe,
+        outcome=loop.outcome if loop else None,
+        match=loop.accepted.match if loop and loop.accepted else -1,
+        edges=report.edges,
+        optimized=report.graph is not None,
+        drift=report.drift,
     )
