@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from .params import Params
-from .pipeline import Arrival, receive, start
+from .pipeline import Arrival, receive
+from .record.fork import state_before
 from .record.recording import RunReader
 from .solver.covariance import Covariances, covariances
 from .solver.ipopt import Comparison, compare_optimum
@@ -39,11 +40,12 @@ def solved_window(run: RunReader, k: int, params: Params | None = None) -> Turn 
     """Frame k after its solve, before anything left; None while there is no window to solve."""
     params = params or run.header.params_at(k)
     calibration = run.header.calibration
-    state = start(calibration) if k == 0 else run.state(k - 1)
+    state = state_before(run, k)
     arrival = receive(params, calibration, state, run.packet(k), recorded_tracks(run, k, params), {})
     if not arrival.ready:
         return None
-    return Turn(arrival, solve_window(params, arrival.calibration, arrival.state.window, {}))
+    requests = state.closure.requests if state.closure and params.loop.enabled else ()
+    return Turn(arrival, solve_window(params, arrival.calibration, arrival.state.window, {}, requests))
 
 
 def optimum(run: RunReader, k: int, params: Params | None = None) -> Comparison | None:

@@ -11,6 +11,9 @@ from .factors.preintegration import preintegrate
 from .frontend.state import TrackerState
 from .frontend.step import track
 from .initialization.step import initialize
+from .mapping import closure as mapping
+from .mapping.closure import Closure
+from .mapping.places import Places
 from .params import Params
 from .report import FrameReport, KeyframeReport, LossReason, PoseEstimate, Status, Timings, TrackReport
 from .sensors import Calibration, ImageSource, Packet
@@ -39,20 +42,29 @@ class RunState:
     """Likewise, because their depth came out negative."""
     resume: PoseEstimate | None = None
     """After a restart: the last healthy pose, which the next initialisation starts from."""
+    closure: Closure | None = None
+    """What loop closing carries; None where loops are not closed."""
 
 
-def start(calibration: Calibration) -> RunState:
-    """The state before the first packet."""
-    return RunState(TrackerState.empty(), _empty_window(calibration), Status.FILLING)
+def start(calibration: Calibration, places: Places | None = None) -> RunState:
+    """The state before the first packet; loops are closed only with `places`."""
+    state = RunState(TrackerState.empty(), _empty_window(calibration), Status.FILLING)
+    return state if places is None else replace(state, closure=mapping.begin(places))
 
 
 def step(
-    params: Params, calibration: Calibration, images: ImageSource, state: RunState, packet: Packet
+    params: Params,
+    calibration: Calibration,
+    images: ImageSource,
+    state: RunState,
+    packet: Packet,
+    places: Places | None = None,
 ) -> tuple[RunState, FrameReport, Timings]:
-    """Track, then `advance`.
+    """Track, `advance`, then close loops where there are `places`.
 
     Deterministic: the same arguments give the same state and report, bit for bit.
     """
+    previous = state.tracker.image
     ms: Timings = {}
     with stopwatch(ms, "track"):
         tracked = track(
@@ -63,7 +75,12 @@ def step(
             packet,
             {LossReason.OUTLIER: state.rejected_ids, LossReason.DEPTH: state.behind_ids},
         )
-    return advance(params, calibration, state, packet, tracked, ms)
+    state, report, ms = advance(params, calibration, state, packet, tracked, ms)
+    if places is not None and params.loop.enabled and report.status is Status.TRACKING:
+        assert state.closure is not None and previous is not None
+        closure, report = mapping.close(params, places, images, state.closure, state.window, previous, report, ms)
+        state = replace(state, closure=closure)
+    return state, report, ms
 
 
 def advance(
@@ -82,7 +99,8 @@ def advance(
     state, report = arrived.state, arrived.report
     if not arrived.ready:
         return state, report, ms
-    result = estimate(params, arrived.calibration, state.window, arrived.keyframe, arrived.previous, ms)
+    requests = state.closure.requests if state.closure and params.loop.enabled else ()
+    result = estimate(params, arrived.calibration, state.window, arrived.keyframe, arrived.previous, ms, requests)
     report = result.explain(report)
     if result.window is None:
         state = _restart(calibration, state, arrived.previous)
@@ -229,4 +247,5 @@ def _forget(calibration: Calibration, state: RunState, is_keyframe: bool) -> Run
 
 def _restart(calibration: Calibration, state: RunState, last_healthy: PoseEstimate | None) -> RunState:
     """Forget window and prior, keep the tracks, remember where to continue (SPEC 5.4, unlike REFERENCE F7)."""
-    return RunState(state.tracker, _empty_window(calibration), Status.FAILED, resume=last_healthy)
+    closure = mapping.interrupt(state.closure) if state.closure else None
+    return RunState(state.tracker, _empty_window(calibration), Status.FAILED, resume=last_healthy, closure=closure)

@@ -12,12 +12,15 @@ from .io.calibration import read_calibration
 from .io.params_yaml import read_params
 from .io.recording import Recording, open_recording
 from .io.sync import packets
+from .mapping.maps import load as load_map
+from .mapping.places import Places, learn_places, read_places
 from .params import Params
 from .pipeline import start
 from .process import prepare
 from .record.header import RunHeader
 from .record.recording import RunWriter
 from .record.replay import Progress, Result, estimate
+from .sensors import CameraCalibration
 from .solver import backend as backends
 from .solver.backend import Wish
 
@@ -37,6 +40,9 @@ def run_recording(
     duration_s: float | None = None,
     embed_images: bool = False,
     backend: Wish = "auto",
+    vocabulary: PathLike | None = None,
+    brief_pattern: PathLike | None = None,
+    map_folder: PathLike | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Result:
@@ -44,8 +50,10 @@ def run_recording(
 
     `settings` are `section.name=value` and win over those of `params_file` (see io/params_yaml.py), which win over the
     tuning keys of the calibration files.  `start_s` and `duration_s` count from the first image.  `backend`: which
-    code evaluates the factors, with the same results (solver/backend.py).  `cancelled` is asked after each frame.
-    However it ends, what was written can be read.
+    code evaluates the factors, with the same results (solver/backend.py).  `vocabulary`: what places are recognised by,
+    a DBoW2 file (with the pattern of its BRIEF descriptors, where it has such), by default trained on the recording's
+    own images.  `map_folder`: a map that the run begins with, and whose vocabulary it uses.  `cancelled` is asked after
+    each frame.  However it ends, what was written can be read.
     Raises VinspectError, before `out` is touched when the input is at fault.
     """
     prepare()
@@ -58,6 +66,7 @@ def run_recording(
         params, origins = choose_parameters(given.overrides, assignments, from_file)
         arriving = packets(source, given.calibration, params, start_s, duration_s)
         first = next(arriving)  # what is wrong with the recording is told before a folder is made
+        places = _places(params, given.calibration.cameras[0], source, vocabulary, brief_pattern, map_folder)
         header = RunHeader(
             params,
             given.calibration,
@@ -72,9 +81,27 @@ def run_recording(
             embedded_images=embed_images,
             notes=given.notes,
         )
-        with backends.using(chosen), RunWriter(out, header, source.truth(), source) as writer:
+        with backends.using(chosen), RunWriter(out, header, source.truth(), source, places) as writer:
             arriving = itertools.chain([first], arriving)
-            return estimate(writer, header, source, start(given.calibration), arriving, progress, cancelled)
+            state = start(given.calibration, places)
+            return estimate(writer, header, source, state, arriving, progress, cancelled, places=places)
+
+
+def _places(
+    params: Params,
+    camera: CameraCalibration,
+    source: Recording,
+    vocabulary: PathLike | None,
+    brief_pattern: PathLike | None,
+    map_folder: PathLike | None,
+) -> Places | None:
+    if not params.loop.enabled:
+        return None
+    if map_folder is not None:
+        return load_map(Path(map_folder), camera)
+    if vocabulary is not None:
+        return read_places(camera, Path(vocabulary), Path(brief_pattern) if brief_pattern is not None else None)
+    return learn_places(camera, tuple(source.images()), source)
 
 
 def choose_parameters(

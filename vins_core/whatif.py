@@ -6,7 +6,7 @@ end is in question, with its images tracked again; the record stays as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from .window.state import Observations
 
 @dataclass(frozen=True)
 class WhatIf:
-    """One frame as it was recorded and as it would have been."""
+    """One frame as it was recorded and as it would have been; without what the map said of it."""
 
     before: FrameReport
     after: FrameReport
@@ -61,6 +61,7 @@ def resolve(
         else:
             tracked = recorded_tracks(run, k, params)
             _, after, ms = advance(params, header.calibration, state, packet, tracked, {})
+    before, after = (replace(report, relocalizations=(), closure=None) for report in (before, after))
     return WhatIf(before, after, header.params_at(k), params, ms, rerun_frontend)
 
 

@@ -103,9 +103,12 @@ class PoseGraph:
         return np.array([s.group for s in self.sessions], np.int64)[self.session]
 
 
-def begin_session(graph: PoseGraph, base: bool = False) -> PoseGraph:
-    """Keyframes from now on belong to a new odometry; until its first loop to another it has a frame of its own."""
-    session = Session(graph.n_keyframes, poses.IDENTITY, len(graph.sessions), base)
+def begin_session(graph: PoseGraph, base: bool = False, drift: np.ndarray = poses.IDENTITY) -> PoseGraph:
+    """Keyframes from now on belong to a new odometry; until its first loop to another it has a frame of its own.
+
+    `drift`: T_g_o to begin with.
+    """
+    session = Session(graph.n_keyframes, drift, len(graph.sessions), base)
     return replace(graph, sessions=(*graph.sessions, session))
 
 

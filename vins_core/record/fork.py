@@ -57,13 +57,14 @@ def fork(
     params = check(run, at, changes, frames, backend)
     chosen = backends.recorded(run.header.backend, backend)
     state, packets = state_before(run, at), islice(_packets(run, at, params), frames)
+    places = run.places
     header = _header(run, at, params, _expect(run, at, params, frames), chosen.name)
     with contextlib.ExitStack() as opened:
         source = images if images is not None else opened.enter_context(recorded_images(run))
-        with backends.using(chosen), RunWriter(out, header, run.truth, source) as writer:
+        with backends.using(chosen), RunWriter(out, header, run.truth, source, places) as writer:
             writer.adopt(run, at)
             poses = sum(s.pose is not None for s in run.summaries[:at])
-            return estimate(writer, header, source, state, packets, progress, cancelled, poses)
+            return estimate(writer, header, source, state, packets, progress, cancelled, poses, places)
 
 
 def check(
@@ -76,13 +77,15 @@ def check(
         raise RunError(f"{run.path} has no frame {at} to fork at; it holds frames 0 to {len(run) - 1}")
     if frames is not None and frames < 1:
         raise ParameterError(f"a fork of {frames} frames computes nothing; expected at least 1")
+    if changes.get("loop.enabled") and params.loop.enabled and run.places is None:
+        raise ParameterError(f"{run.path} has no vocabulary to close loops with; run the recording with --loops on")
     run.packet(at)  # a record without packets cannot be repeated
     return params
 
 
 def state_before(run: RunReader, k: int) -> RunState:
     """The state that frame k of a run was computed from."""
-    return start(run.header.calibration) if k == 0 else run.state(k - 1)
+    return start(run.header.calibration, run.places) if k == 0 else run.state(k - 1)
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@
     truth.log     ground truth of the recording, when it has one
     frames.log    a block a frame: report, timings, packet, and the state after it (HOUSE, "Time travel")
     index.log     a block a frame: where it lies in frames.log, and its summary; made again when missing or damaged
+    map/          with loops: the map that the run begins with, its vocabulary at least (mapping/maps.py)
     images.log    with --embed-images: the images of each frame, losslessly
     end.json      written last: how the run ended
 
@@ -15,6 +16,9 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,20 +36,24 @@ from .log import Block, LogReader, LogWriter
 from .recent import MAX_BYTES, Recent
 
 if TYPE_CHECKING:
+    from ..loop.keyframe import Keyframes
+    from ..mapping.places import Places
     from ..pipeline import RunState
+    from .closures import RecordedMap
 
 try:
     import fcntl
 except ImportError:  # not on this system: a run that was killed looks like one that still grows
     fcntl = None  # type: ignore[assignment]
 
-HEADER, TRUTH, FRAMES, INDEX, IMAGES, END = (
+HEADER, TRUTH, FRAMES, INDEX, IMAGES, END, MAP = (
     "header.json",
     "truth.log",
     "frames.log",
     "index.log",
     "images.log",
     "end.json",
+    "map",
 )
 KEEP_STATES = 4
 MAX_INDEX_DIRECTORY = 64 * 1024
@@ -72,8 +80,12 @@ class RunWriter:
         header: RunHeader,
         truth: Trajectory | None = None,
         images: ImageSource | None = None,
+        places: Places | None = None,
     ) -> None:
-        """`images`: where to take the pixels of frames from when the header says that they are embedded."""
+        """`images`: where to take the pixels of frames from when the header says that they are embedded.
+
+        `places`: what the run closes loops with.
+        """
         self.path = Path(path)
         self._images = images if header.embedded_images else None
         self._ledger = Ledger()
@@ -88,6 +100,10 @@ class RunWriter:
             log = LogWriter(self.path / TRUTH)
             log.append(pack({"truth": truth}))
             log.close()
+        if places is not None:
+            from ..mapping import maps
+
+            maps.save(self.path / MAP, places, places.graph, places.keyframes)
         self._write(HEADER, headers.to_json(header))  # last: a folder with a header can be opened
 
     def adopt(self, other: RunReader, frames: int) -> None:
@@ -113,7 +129,9 @@ class RunWriter:
         with stopwatch(timings, "record"):  # known too late for frames.log: only the index has it
             if self._image_log and self._images:
                 own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
-            payload, self._ledger = pack_series(own, {} if state is None else {"state": state}, self._ledger)
+            if state is not None and report.closure is not None and report.closure.keyframe is not None:
+                own["keyframe"] = _newest_keyframe(state)
+            payload, self._ledger = pack_series(own, {} if state is None else _shared(state), self._ledger)
             block = self._frames.append(payload)
         self._index.append(pack({"block": block, "summary": summarize(report, timings)}))
 
@@ -307,6 +325,30 @@ class RunReader:
             raise RunError(f"frame {k} of {self.path} was recorded without its {name}")
         return blob
 
+    @property
+    def places(self) -> Places | None:
+        """What the run closes loops with; None when it closes none.  Raises MapError when that is damaged."""
+        return self._map.places if self._map else None
+
+    @property
+    def keyframes(self) -> Keyframes:
+        """Every keyframe of the map the run began with, and of the run, as loop closing keeps them."""
+        if self._map is None:
+            raise RunError(f"{self.path} has no loops: it was made with --loops off")
+        self._map.follow(self.summaries)
+        return self._map.keyframes
+
+    @cached_property
+    def _map(self) -> RecordedMap | None:
+        if not (self.path / MAP).is_dir():
+            return None
+        from ..loop.keyframe import LoopKeyframe
+        from ..mapping import maps
+        from .closures import RecordedMap
+
+        places = maps.load(self.path / MAP, self.header.calibration.cameras[0])
+        return RecordedMap(places, lambda k: self._section(k, "keyframe", LoopKeyframe))
+
     def _read_blob(self, k: int) -> tuple[Blob, int]:
         blob = Blob(self._frames.read(self._blocks[k]), f"frame {k} of {self.path / FRAMES}")
         return blob, blob.cost
@@ -327,7 +369,20 @@ class RunReader:
                     raise RunError(f"the state of frame {k} of {self.path} refers to more than a state can hold")
             return blobs[back]
 
-        return blobs[0].get("state", RunState, earlier), sum(blob.cost for blob in blobs.values())
+        state = blobs[0].get("state", RunState, earlier)
+        if "closure" in blobs[0]:
+            state = self._with_closure(state, blobs[0], earlier)
+        return state, sum(blob.cost for blob in blobs.values())
+
+    def _with_closure(self, state: RunState, blob: Blob, earlier: Callable[[int], Blob]) -> RunState:
+        from .closures import ClosureMark
+
+        if self._map is None:
+            raise RunError(
+                f"{self.path} lacks its folder {MAP}, which its loops need; copy the whole folder of the run"
+            )
+        self._map.follow(self.summaries)
+        return replace(state, closure=self._map.restore(blob.get("closure", ClosureMark, earlier)))
 
     def _follow_index(self) -> None:
         """Take new index entries, as long as they are whole and frames.log holds what they promise."""
@@ -375,6 +430,20 @@ class RunReader:
             return path.read_bytes()
         except OSError as problem:
             raise RunError(f"cannot read {path}: {problem.strerror}") from None
+
+
+def _shared(state: RunState) -> dict[str, Any]:
+    """The sections of a state: what only grows is elsewhere (closures.py)."""
+    if state.closure is None:
+        return {"state": state}
+    from .closures import mark
+
+    return {"state": replace(state, closure=None), "closure": mark(state.closure)}
+
+
+def _newest_keyframe(state: RunState) -> Any:
+    assert state.closure is not None
+    return state.closure.loops.keyframes[len(state.closure.loops) - 1]
 
 
 def _encode(image: np.ndarray) -> bytes:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..clock import stopwatch
+from ..mapping.places import Places
 from ..pipeline import RunState, step
 from ..report import FrameSummary, Timings, summarize
 from ..sensors import ImageRef, ImageSource, Packet
@@ -44,14 +45,16 @@ def estimate(
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
     poses: int = 0,
+    places: Places | None = None,
 ) -> Result:
     """Step through `arriving` from `state`, append every frame, close the record.
 
-    `poses`: how many the record holds already.  `cancelled` is asked after each frame.
+    `poses`: how many the record holds already.  `places`: what loops are closed with.  `cancelled` is asked after each
+    frame.
     """
     images = _TimedImages(source)
     for packet in arriving:
-        state, report, ms = step(header.params, header.calibration, images, state, packet)
+        state, report, ms = step(header.params, header.calibration, images, state, packet, places)
         ms = images.take_decoding_out_of(ms)
         writer.append(report, ms, packet, state)
         poses += report.pose is not None
