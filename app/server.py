@@ -64,7 +64,7 @@ class Server:
     async def _end_sessions(self) -> None:
         for session in self.sessions.values():
             session.close()
-        await asyncio.gather(*(session.drawing for session in self.sessions.values()))
+        await asyncio.gather(*(session.drawing.task for session in self.sessions.values()))
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         try:

@@ -39,7 +39,7 @@ def client() -> MagicMock:
 def run_session(opened: OpenRun, body: Body) -> Session:
     async def main() -> Session:
         session = Session(client(), opened, shipped_layouts())
-        session._on_event(Page(("camera", "timeline"), 1600, 950, 640))
+        session.on_event(Page(("camera", "timeline"), 1600, 950, 640))
         await settle(session)
         await body(session)
         session.close()
@@ -53,7 +53,7 @@ async def settle(session: Session) -> None:
     """Until everything wished for is drawn, however busy the machine is."""
     for _ in range(3000):
         await asyncio.sleep(0.01)
-        if session.idle:
+        if session.drawing.idle:
             return
     raise AssertionError("the session never came to rest")
 
@@ -61,8 +61,13 @@ async def settle(session: Session) -> None:
 def drawn_frames(session: Session) -> list[int]:
     """The frames drawn from now on, as they are drawn."""
     frames: list[int] = []
-    render = session._render
-    session._render = lambda k: (frames.append(k), render(k))[1]  # type: ignore[method-assign, func-returns-value]
+    draw = session.drawing.draw
+
+    async def noted(k: int) -> None:
+        frames.append(k)
+        await draw(k)
+
+    session.drawing.draw = noted  # type: ignore[method-assign]
     return frames
 
 
@@ -70,7 +75,7 @@ def test_only_the_last_of_many_wishes_is_drawn(opened: OpenRun) -> None:
     async def body(session: Session) -> None:
         frames = drawn_frames(session)
         for k in range(1, 30):
-            session._on_event(GoTo(k))
+            session.on_event(GoTo(k))
         await settle(session)
         assert frames == [29]
 
@@ -80,8 +85,8 @@ def test_only_the_last_of_many_wishes_is_drawn(opened: OpenRun) -> None:
 def test_wishes_beyond_the_run_end_at_its_ends(opened: OpenRun) -> None:
     async def body(session: Session) -> None:
         for event, frame in ((GoTo(10_000), FRAMES - 1), (GoTo(-7), 0), (Seek(7.0), FRAMES - 1), (Step(1), FRAMES - 1)):
-            session._on_event(event)
-            assert session.want == frame
+            session.on_event(event)
+            assert session.cursor.want == frame
 
     run_session(opened, body)
 
@@ -89,9 +94,9 @@ def test_wishes_beyond_the_run_end_at_its_ends(opened: OpenRun) -> None:
 def test_a_step_ends_playing(opened: OpenRun) -> None:
     async def body(session: Session) -> None:
         session.play()
-        assert session.playing
-        session._on_event(Step(1))
-        assert not session.playing
+        assert session.cursor.playing
+        session.on_event(Step(1))
+        assert not session.cursor.playing
 
     run_session(opened, body)
 
@@ -100,12 +105,12 @@ def test_playing_ends_at_the_end_and_starts_over_from_there(opened: OpenRun) -> 
     async def body(session: Session) -> None:
         session.go(FRAMES - 2)
         session.play()
-        while session.playing:
+        while session.cursor.playing:
             await asyncio.sleep(0.01)
         await settle(session)
-        assert session.shown == FRAMES - 1
+        assert session.drawing.shown == FRAMES - 1
         session.play()
-        assert session.playing and session.want == 0
+        assert session.cursor.playing and session.cursor.want == 0
 
     run_session(opened, body)
 
@@ -116,12 +121,12 @@ def test_keyframe_steps_visit_exactly_the_keyframes(opened: OpenRun) -> None:
         visited = [0]
         while True:
             session.step(1, keyframe=True)
-            if session.want == visited[-1]:
+            if session.cursor.want == visited[-1]:
                 break
-            visited.append(session.want)
+            visited.append(session.cursor.want)
         assert visited == opened.view.series.keyframes.tolist()
         session.step(-1, keyframe=True)
-        assert session.want == visited[-2]
+        assert session.cursor.want == visited[-2]
 
     run_session(opened, body)
 
@@ -129,16 +134,16 @@ def test_keyframe_steps_visit_exactly_the_keyframes(opened: OpenRun) -> None:
 def test_the_worst_cost_is_where_the_spike_is(opened: OpenRun) -> None:
     async def body(session: Session) -> None:
         session.go_to_worst()
-        assert abs(session.want - SPIKE) <= 1
+        assert abs(session.cursor.want - SPIKE) <= 1
 
     run_session(opened, body)
 
 
 def test_a_negative_pick_clears_the_selection(opened: OpenRun) -> None:
     async def body(session: Session) -> None:
-        session._on_event(Pick("track", 5))
+        session.on_event(Pick("track", 5))
         assert session.selection == Selection("track", 5)
-        session._on_event(Pick("track", -1))
+        session.on_event(Pick("track", -1))
         assert session.selection == Selection()
 
     run_session(opened, body)
@@ -146,7 +151,7 @@ def test_a_negative_pick_clears_the_selection(opened: OpenRun) -> None:
 
 def test_a_selection_of_an_unknown_kind_changes_nothing(opened: OpenRun) -> None:
     async def body(session: Session) -> None:
-        session._on_event(Pick("everything", 5))
+        session.on_event(Pick("everything", 5))
         assert session.selection == Selection()
 
     run_session(opened, body)
@@ -157,11 +162,11 @@ def test_the_newest_frame_is_shown_while_the_run_grows_until_the_user_takes_over
     growing.view, growing.images, growing.growing = opened.view, opened.images, True
 
     async def body(session: Session) -> None:
-        assert session.shown == FRAMES - 1
-        session._on_event(Step(-1))
+        assert session.drawing.shown == FRAMES - 1
+        session.on_event(Step(-1))
         session.refresh()
         await settle(session)
-        assert session.shown == FRAMES - 2
+        assert session.drawing.shown == FRAMES - 2
 
     run_session(growing, body)
 
@@ -173,7 +178,11 @@ def test_only_panels_that_can_be_seen_are_rendered(opened: OpenRun, monkeypatch:
 
     async def body(session: Session) -> None:
         assert rendered == {"camera", "timeline"}
-        session._on_event(Page(("gates", "timeline"), 1600, 950, 640))
+        session.on_event(Page(("gates", "timeline"), 1600, 950, 640))
+        rendered.clear()
+        await settle(session)
+        assert rendered == {"gates"}  # the timeline is drawn already
+        session.go(3)
         rendered.clear()
         await settle(session)
         assert rendered == {"gates", "timeline"}
@@ -192,8 +201,8 @@ def test_a_panel_that_fails_says_so_and_the_others_are_drawn(
     async def body(session: Session) -> None:
         session.go(7)
         await settle(session)
-        assert "failed at frame 7" in session.panels["camera"].content
-        assert 'data-frame="7"' in session.panels["timeline"].content
+        assert "failed at frame 7" in session.workspace.panels["camera"].content
+        assert 'data-frame="7"' in session.workspace.panels["timeline"].content
 
     run_session(opened, body)
     assert "camera" in caplog.text
@@ -203,7 +212,7 @@ def test_a_run_without_frames_says_why_in_every_panel() -> None:
     empty = OpenRun("room.bag", None, error="/data/room.bag: it is <not> a bag")
 
     async def body(session: Session) -> None:
-        for panel in session.panels.values():
+        for panel in session.workspace.panels.values():
             assert "it is &lt;not&gt; a bag" in panel.content
 
     run_session(empty, body)

@@ -183,7 +183,7 @@ def test_a_fork_is_computed_drawn_and_compared(page: Page, server: Server) -> No
     go.click()
     wait_for_frame(page, frame)
     expect(page.locator("[data-vip=signals] .vi-otherval").first).to_be_visible()
-    other = session_of(server)._beside(session_of(server).opened.view)
+    other = session_of(server).drawing.beside(session_of(server).opened.view)
     assert other is not None and other.at(frame) == frame
 
 
@@ -246,7 +246,7 @@ def test_a_layout_of_ones_own_is_saved_and_offered(page: Page, server: Server) -
     open_tab(page, "Layers")
     page.get_by_label("IMU edges by residual").uncheck()
     session = session_of(server)
-    wait_until(page, lambda: session._boxes["imu.edges"].value is False)
+    wait_until(page, lambda: session.workspace.boxes["imu.edges"].value is False)
     server._viser.get_event_loop().call_soon_threadsafe(session.save_layout, "My view")
     page.wait_for_function("location.search.includes('layout=my-view')")
     page.keyboard.press("Alt+1")

@@ -1,0 +1,235 @@
+"""The render loop of one tab: draws the newest wish, skips what was overtaken, and sends what is small first.
+
+A step is two messages: the panels, which the page shows as soon as they arrive, and after them the 3D view, for which
+the page has to draw a whole picture.  When only parts of the page have changed, each of them is a message of its own,
+in the order in which they were named.
+
+A new panel needs nothing here, unless it shows something that is not in the report: then `_context` hands it over.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vins_core.errors import VinspectError
+from vins_core.sensors import ImageRef
+
+from .comparison import OtherRun
+from .context import PanelContext, RunView
+from .panel_view import PanelView
+from .prior import DepartureView
+from .scene.frame import SceneFrame, scene_unit
+
+if TYPE_CHECKING:
+    from .session import Session
+
+log = logging.getLogger("vinspect")
+
+SENT_S = 0.001
+"""Lets viser send what was drawn before the next piece is worked out."""
+SCENE = "scene"
+"""Names the 3D view among the parts of the page; all others are KEYs of panels."""
+
+
+class Drawing:
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.shown = -1
+        """The frame that the page has; -1 before the first."""
+        self._stale = True
+        self._parts: list[str] | None = None  # what is stale; None: everything
+        self._busy = False
+        self._wake = asyncio.Event()
+        self._closed = False
+        self._fitted = 0  # poses that the viewpoint was chosen for; 0: none yet
+        self._unit_m = 0.0
+        self.task = asyncio.get_running_loop().create_task(self._loop())
+
+    def wake(self) -> None:
+        """The wanted frame may be another one."""
+        self._wake.set()
+
+    def refresh(self, *parts: str) -> None:
+        """Draw the shown frame again: something beside the frame number changed.
+
+        `parts` are KEYs of the panels concerned and SCENE, the most urgent first; without any, everything.
+        """
+        if not parts:
+            self._parts = None
+        elif self._parts is not None:
+            self._parts += [part for part in parts if part not in self._parts]
+        self._stale = True
+        self._wake.set()
+
+    def fit(self) -> None:
+        """Choose the viewpoint anew."""
+        self._fitted = 0
+        self.refresh()
+
+    def start_over(self) -> None:
+        """Another run is shown."""
+        self.shown, self._unit_m = -1, 0.0
+        self.fit()
+
+    @property
+    def idle(self) -> bool:
+        """Everything wished for is drawn."""
+        cursor = self._session.cursor
+        at_work = cursor.playing or self._stale or self._busy or self._wake.is_set()
+        return not at_work and self.shown in (cursor.want, -1)
+
+    def close(self) -> None:
+        self._closed = True
+        self._wake.set()
+
+    async def _loop(self) -> None:
+        cursor = self._session.cursor
+        while not self._closed:
+            try:
+                await asyncio.wait_for(self._wake.wait(), cursor.pause_s)
+            except TimeoutError:
+                cursor.advance()
+                self._stale |= not cursor.playing
+            self._wake.clear()
+            cursor.catch_up()
+            if self._closed or (cursor.want == self.shown and not self._stale):
+                continue
+            self._stale, self._busy = False, True
+            try:
+                await self.draw(cursor.want)
+            except Exception:
+                log.exception("frame %d", cursor.want)
+            self._busy = False
+
+    async def draw(self, k: int) -> None:
+        session = self._session
+        session.controls.show_progress(session.opened)
+        run = session.cursor.run
+        if run is None:
+            opened = session.opened
+            for panel in session.workspace.panels.values():
+                panel.say(opened.error or opened.doing or "This run has no frames.")
+            return
+        parts, self._parts = self._parts if k == self.shown else None, []
+        self.shown = k
+        ctx = self._context(run, k)
+        session.workspace.name_view(f"run={session.opened.id}&frame={k}&layout={session.layout.name}")
+        for panels in self._messages(parts):
+            with self._message():
+                for panel in panels:
+                    panel.render(ctx)
+            await asyncio.sleep(SENT_S)
+        if (parts is None or SCENE in parts) and session.cursor.run is run:
+            with self._message():
+                self._draw_scene(ctx)
+
+    def _messages(self, parts: list[str] | None) -> Iterator[list[PanelView]]:
+        """The panels to draw, by message."""
+        workspace = self._session.workspace  # its panels may become others between two messages
+        if parts is None:
+            yield [panel for key, panel in workspace.panels.items() if key in workspace.visible]
+            return
+        for key in parts:
+            if key in workspace.visible and key in workspace.panels:
+                yield [workspace.panels[key]]
+
+    @contextmanager
+    def _message(self) -> Iterator[None]:
+        """What is drawn inside arrives together, and at once: viser would collect for 1/60 s."""
+        client = self._session.client
+        with client.atomic():
+            yield
+        client.flush()
+
+    # -- what panels see ---------------------------------------------------------------------------------------------
+
+    def _context(self, run: RunView, k: int) -> PanelContext:
+        session, answers, visible = self._session, self._session.answers, self._session.workspace.visible
+        report = run.report(k)
+        uri, note = self._image(report.images[-1])
+        model = run.header.calibration.cameras[report.images[-1].camera].model
+        return PanelContext(
+            run=run,
+            frame=k,
+            report=report,
+            ms=run.ms(k),
+            selection=session.selection,
+            image_uri=uri,
+            image_note=note,
+            width=model.width,
+            height=model.height,
+            playing=session.cursor.playing,
+            progress=session.opened.error or session.opened.doing,
+            signals=session.layout.signals,
+            experiment=answers.experiment.look(run, k, asking="what_if" in visible),
+            fork_frames=session.fork_frames,
+            run_id=session.opened.id,
+            runs=session.store.entries() if "runs" in visible else (),
+            other=self.beside(run),
+            optimum=answers.optimum.look(run, k),
+            prior_side=session.prior_side,
+            departure=self._departure(run, k),
+        )
+
+    def beside(self, run: RunView) -> OtherRun | None:
+        """The run compared with."""
+        session = self._session
+        other = session.other
+        return None if other is None else session.answers.comparer.look(run, other, session.store.name(other))
+
+    def _departure(self, run: RunView, k: int) -> DepartureView | None:
+        wanted = "prior" in self._session.workspace.visible and self._session.prior_side != "after"
+        return self._session.answers.departure.look(run, k) if wanted else None
+
+    def _image(self, ref: ImageRef) -> tuple[str, str]:
+        """(data URI, why there is none)."""
+        try:
+            return self._session.opened.images.uri(ref), ""
+        except VinspectError as problem:
+            return "", str(problem)
+
+    # -- the 3D view -------------------------------------------------------------------------------------------------
+
+    def scene_frame(self, k: int) -> SceneFrame | None:
+        """What the layers draw from; None before the first frame."""
+        session, run = self._session, self._session.cursor.run
+        if run is None or k < 0:
+            return None
+        report = run.report(k)
+        if report.landmarks is not None and not self._unit_m:
+            self._unit_m = scene_unit(report)
+        try:
+            thumbnail = session.opened.images.thumbnail(report.images[-1]) if report.window is not None else None
+        except VinspectError:
+            thumbnail = None
+        passed = session.opened.map.at(k)
+        return SceneFrame(run, k, report, session.selection, thumbnail, passed, self._unit_m or scene_unit(report))
+
+    def _draw_scene(self, ctx: PanelContext) -> None:
+        scene, answers = self._session.scene, self._session.answers
+        frame = self.scene_frame(ctx.frame)
+        if frame is None:
+            return
+        solved = ctx.experiment.solved if ctx.experiment else None
+        known = answers.uncertainty.look(ctx.run, ctx.frame) if scene.shows("uncertainty") else None
+        resolved = solved.after.window if solved else None
+        frame = replace(frame, other=ctx.other, resolved=resolved, uncertainty=known)
+        scene.update(frame)
+        self._aim(frame)
+
+    def _aim(self, frame: SceneFrame) -> None:
+        """Move the viewpoint: behind the camera when following; else once, when there is something to see."""
+        session = self._session
+        if session.following:
+            session.scene.follow(frame)
+        solved = int(np.isfinite(frame.series.p_w_b[:, 0]).sum())
+        if not session.following and (self._fitted == 0 or (session.cursor.live and solved > 1.5 * self._fitted)):
+            self._fitted = solved
+            session.scene.fit(frame, aspect=session.workspace.canvas / session.workspace.page[1])

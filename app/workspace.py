@@ -1,0 +1,124 @@
+"""The windows of one tab: a layout's panels as viser's, where they stand, which of them can be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+import viser
+
+from .browser import Bridge
+from .controls import set_value
+from .html import tag
+from .layout import Layout, Panel, Placement, canvas_width, place
+from .panel_view import PANELS, PanelView
+from .scene.view import OFF, TOGGLES
+
+
+class Workspace:
+    """`on_layer(toggle, on)` is called when a layer of the 3D view is switched."""
+
+    def __init__(
+        self, client: viser.ClientHandle, bridge: Bridge, layout: Layout, on_layer: Callable[[str, bool], None]
+    ) -> None:
+        self._client = client
+        self._bridge = bridge
+        self._on_layer = on_layer
+        self._windows: dict[str, viser.PanelHandle] = {}
+        self._link: viser.GuiHtmlHandle | None = None
+        self.layout = layout
+        self.panels: dict[str, PanelView] = {}
+        self.boxes: dict[str, viser.GuiCheckboxHandle] = {}
+        """The checkboxes of the 3D view's layers."""
+        self.visible: set[str] = set()
+        """KEYs of the panels that the page shows."""
+        self.page = int(client.camera.image_width), int(client.camera.image_height)
+        self.canvas = 0
+        """Width of the 3D view, px."""
+        self.image_aspect = 1.5
+
+    def use(self, layout: Layout) -> None:
+        """Build the panels of a layout in place of those that are there."""
+        self.layout = layout
+        for window in self._windows.values():
+            window.remove()
+        self.panels, self._windows, self.boxes = {}, {}, {}
+        for name, spec in layout.panels.items():
+            window = self._windows[name] = self._client.gui.add_panel()
+            for key in spec.tabs:
+                self._add_tab(window, key)
+        self.place()
+        for toggle, box in self.boxes.items():
+            set_value(box, self.draws(toggle))
+
+    def draws(self, toggle: str) -> bool:
+        """Whether the layout wants a layer of the 3D view."""
+        return self.layout.layers.get(toggle, toggle not in OFF)
+
+    def as_it_is(self, camera: str) -> Layout:
+        """The layout with the tabs and layers that the user has chosen since."""
+        layers = {toggle: box.value for toggle, box in self.boxes.items()} or self.layout.layers
+        panels = {name: shown_first(spec, self.visible) for name, spec in self.layout.panels.items()}
+        return msgspec.structs.replace(self.layout, panels=panels, layers=layers, camera=camera)
+
+    def name_view(self, link: str) -> None:
+        """Let the page's address say what is shown."""
+        content = str(tag("i", hidden="hidden", data_link=link))
+        if self._link is not None and self._link.content != content:
+            self._link.content = content
+
+    def place(self) -> None:
+        """Put every panel where the layout says, as wide as the page allows."""
+        self.canvas = canvas_width(self.layout, self.page, self.image_aspect)
+        for name, at in self._placements().items():
+            spec, window = self.layout.panels[name], self._windows[name]
+            if spec.dock:
+                window.dock_left() if spec.dock == "left" else window.dock_right()
+                window.set_width(at.width)
+            else:
+                window.float(x=at.x, y=at.y, width=at.width)
+        for name, spec in self.layout.panels.items():
+            if spec.below:
+                self._windows[name].dock_below(self._windows[spec.below])
+
+    def fit_to(self, page: tuple[int, int], canvas: int) -> None:
+        """The page has another size, or the user has made the 3D view wider or narrower."""
+        if page != self.page:
+            self.page = page
+            self.place()
+        elif canvas and canvas != self.canvas:
+            self.canvas = canvas
+            for name, at in self._placements().items():
+                if self.layout.panels[name].floating:
+                    self._windows[name].float(x=at.x, y=at.y, width=at.width)
+
+    def _placements(self) -> dict[str, Placement]:
+        return place(self.layout, self.page, self.image_aspect, self.canvas)
+
+    def _add_tab(self, window: viser.PanelHandle, key: str) -> None:
+        if key == "layers":
+            with window.add_tab("Layers", viser.Icon.STACK_2):
+                self._client.gui.add_html(str(tag("div", cls="vi", data_vip=key)))
+                for toggle, title in TOGGLES.items():
+                    self._add_layer_box(toggle, title)
+            return
+        module = PANELS.get(key)
+        if module is None:  # a layout saved by another version
+            return
+        with window.add_tab(module.TITLE, getattr(viser.Icon, module.ICON)):
+            if not self.panels:
+                self._bridge.install()
+                self._link = self._client.gui.add_html("")
+            self.panels[key] = PanelView(self._client.gui, module)
+
+    def _add_layer_box(self, toggle: str, title: str) -> None:
+        box = self.boxes[toggle] = self._client.gui.add_checkbox(title, True)
+
+        @box.on_update
+        async def _(_: viser.GuiEvent) -> None:
+            self._on_layer(toggle, box.value)
+
+
+def shown_first(panel: Panel, visible: set[str]) -> Panel:
+    """The panel with the tab that is open in front."""
+    return msgspec.structs.replace(panel, tabs=tuple(sorted(panel.tabs, key=lambda key: key not in visible)))
