@@ -14,9 +14,9 @@ import numpy as np
 
 from ..clock import stopwatch
 from ..geometry import poses
-from ..loop import step
+from ..loop import relocalize, step
 from ..loop.keyframe import Keyframes, LoopKeyframe
-from ..loop.relocalize import RelocalisationRequest, recheck, request
+from ..loop.relocalize import RelocalisationRequest
 from ..loop.step import LoopState
 from ..params import Params
 from ..pose_graph.graph import PoseGraph, add_keyframe, add_loop, adopt, begin_session, shift
@@ -131,8 +131,9 @@ def _refine(
 
 
 def _judge(params: Params, closure: Closure, report: RelocalizationReport) -> RelocalizationReport:
-    drift = _drift_by(params, closure.graph, report.match, report.query, report.T_match_query)
-    return replace(report, gates=recheck(params.loop, report), drift=drift)
+    T_g_match = closure.graph.T_corrected[report.match]
+    moved = relocalize.drift(params.pose_graph, T_g_match, report.T_w_match)
+    return replace(report, gates=relocalize.recheck(params.loop, report), drift=moved)
 
 
 def _drift_by(params: Params, graph: PoseGraph, earlier: int, later: int, T_i_j: np.ndarray) -> np.ndarray:
@@ -212,7 +213,7 @@ def _accept(params: Params, closure: Closure, keyframe: LoopKeyframe, loop: Loop
     )
     if not params.loop.relocalize:
         return closure
-    asked = request(loop, keyframe, closure.loops.keyframes[loop.match])
+    asked = relocalize.request(loop, keyframe, closure.loops.keyframes[loop.match])
     return replace(closure, requests=(*closure.requests, asked)[-params.loop.relocalize :])
 
 
