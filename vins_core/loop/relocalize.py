@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import params
 from ..geometry import poses
-from ..report import MATCH_STAGES, LoopCandidate, MatchStage
+from ..pose_graph.graph import shift
+from ..report import MATCH_STAGES, Gate, LoopCandidate, MatchStage, RelocalizationReport
 from ..window.relocalize import RelocalisationRequest
+from . import gates
 from .keyframe import LoopKeyframe
+from .verify import heading_difference
 
-__all__ = ["RelocalisationRequest", "request"]
+__all__ = ["RelocalisationRequest", "drift", "recheck", "request"]
 
 _SUPPORTS = [MATCH_STAGES.index(s) for s in (MatchStage.INLIER, MatchStage.GUIDED)]
 
@@ -36,3 +40,34 @@ def request(candidate: LoopCandidate, later: LoopKeyframe, earlier: LoopKeyframe
         later.track_ids[rows],
         rays / np.linalg.norm(rays, axis=1, keepdims=True),
     )
+
+
+def recheck(settings: params.Loop, found: RelocalizationReport) -> tuple[Gate, ...]:
+    """The tests that PnP's pose had to pass, of the window's (R3): landmarks, error, covariance, heading, distance.
+
+    Without a pose of its own (too few landmarks took part) nothing is known and the first gate fails.
+    """
+    near = int(np.count_nonzero(found.error_px[1] <= settings.pnp_px))
+    error_px, sigma_m, turned_deg, distance_m = None, None, None, None
+    if found.covariance is not None:
+        error_px = found.error_px_after
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]))
+        T_w_query = poses.compose(found.T_w_match, found.T_match_query)
+        turned_deg = float(np.degrees(np.abs(heading_difference(settings, T_w_query, found.T_w_match))))
+        distance_m = float(np.linalg.norm(found.T_match_query[:3]))
+    return (
+        gates.inliers(settings, near),
+        gates.rms(settings, error_px),
+        gates.sigma(settings, sigma_m),
+        gates.heading(settings, turned_deg),
+        gates.distance(settings, distance_m),
+    )
+
+
+def drift(settings: params.PoseGraph, T_g_match: np.ndarray, T_w_match: np.ndarray) -> np.ndarray:
+    """T_g_w (7,), by which the odometry's world moves for the earlier keyframe to come to where the graph has it.
+
+    `T_g_match`: the earlier body in the graph; `T_w_match`: the same as the window refined it.  Position and turn about
+    gravity, because roll and pitch do not drift; with 6 DoF all of the pose (R3, seed 000.3.3.5: relocalize_r and _t).
+    """
+    return shift(settings, T_g_match, T_w_match)

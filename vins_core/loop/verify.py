@@ -181,10 +181,7 @@ def _check(params: Loop, pair: Pair, found: Evidence) -> tuple[Evidence, tuple[G
     if found.T_match_query is None:
         return found, (gates.tilt(params, None), gates.heading(params, None), gates.distance(params, None))
     T_w_match = poses.compose(pair.later.T_w_b, poses.inverse(found.T_match_query))
-    if params.heading == "gravity":
-        turned = heading.difference(pair.later.T_w_b[3:], T_w_match[3:])
-    else:
-        turned = heading.wrap(so3.heading(pair.later.T_w_b[3:]) - so3.heading(T_w_match[3:]))
+    turned = heading_difference(params, pair.later.T_w_b, T_w_match)
     up_found, up_known = (
         so3.rotate(so3.inverse(T[3:]), np.array([0.0, 0.0, 1.0])) for T in (T_w_match, pair.earlier.T_w_b)
     )
@@ -194,6 +191,13 @@ def _check(params: Loop, pair: Pair, found: Evidence) -> tuple[Evidence, tuple[G
         gates.heading(params, float(np.degrees(np.abs(turned)))),
         gates.distance(params, float(np.linalg.norm(found.T_match_query[:3]))),
     )
+
+
+def heading_difference(params: Loop, T_w_b: np.ndarray, T_w_b0: np.ndarray) -> float:
+    """By how much a body (7,) faces another way than another one, in radians, as `loop.heading` tells it."""
+    if params.heading == "gravity":
+        return float(heading.difference(T_w_b[3:], T_w_b0[3:]))
+    return float(heading.wrap(so3.heading(T_w_b[3:]) - so3.heading(T_w_b0[3:])))
 
 
 def _relative_covariance(

@@ -13,10 +13,11 @@ These are the estimator's own claims: a prior that leaks, or observations used t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, solve_triangular
 
 from ..geometry import se3, so3
 from . import schur
@@ -29,7 +30,7 @@ from .trust_region import gauge_damping
 class Covariances:
     """Marginal covariances; tangents as in `States`."""
 
-    poses: np.ndarray  # (n, 6, 6) dp in m, dtheta in rad (body side)
+    poses: np.ndarray  # (n + places, 6, 6) dp in m, dtheta in rad (body side)
     speed_biases: np.ndarray  # (n, 9, 9) v, b_a, b_g
     inv_depths: np.ndarray  # (M,) variances, 1/m^2; NaN without information
     points_w: np.ndarray  # (M, 3) landmarks in the world, m
@@ -40,19 +41,50 @@ def covariances(problem: WindowProblem, states: States) -> Covariances | None:
     """None when the normal equations are singular beyond position and yaw, as without IMU or prior."""
     linearizer = Linearizer(problem)
     layout, system = linearizer.layout, linearizer.linearize(states)
-    C = _invert_cameras(system, gauge_damping(states.poses[0]))
-    if C is None:
+    factor = _factor_cameras(system, gauge_damping(states.poses[0]))
+    if factor is None:
         return None
-    poses, speed_biases = (layout.columns(kind, np.arange(layout.n_frames)) for kind in ("pose", "speed_bias"))
+    C = factor.inverse()
+    of_poses, of_speed_biases = (
+        C[at[:, :, None], at[:, None, :]]
+        for at in (
+            layout.columns("pose", np.arange(layout.n_poses)),
+            layout.columns("speed_bias", np.arange(layout.n_frames)),
+        )
+    )
     known = system.h > 0
     w = np.divide(system.W, system.h[:, None], out=np.full_like(system.W, np.nan), where=known[:, None])
     P = layout.visual
     coupled = -w @ C[:P, :P]  # (M, P) Cov(l, c)
     with np.errstate(divide="ignore"):
         variance = np.where(known, 1.0 / system.h - np.sum(coupled * w, 1), np.nan)
-    of_poses = C[poses[:, :, None], poses[:, None, :]]
-    of_speed_biases = C[speed_biases[:, :, None], speed_biases[:, None, :]]
     return Covariances(of_poses, of_speed_biases, variance, *_in_world(problem, states, of_poses, coupled, variance))
+
+
+def relative_poses(problem: WindowProblem, states: States, pairs: Sequence[tuple[int, int]]) -> list[np.ndarray | None]:
+    """Per pair (i, j) of slots the covariance (6, 6) of T_i_j = T_w_i^-1 T_w_j, tangent (p + dp, q * Exp(dtheta)).
+
+        dp = R_w_i' (dp_j - dp_i) + p x dtheta_i,      dtheta = dtheta_j - R_i_j' dtheta_i
+
+    None when the normal equations are singular beyond position and yaw.
+    """
+    if not pairs:
+        return []
+    linearizer = Linearizer(problem)
+    layout = linearizer.layout
+    factor = _factor_cameras(linearizer.linearize(states), gauge_damping(states.poses[0]))
+    if factor is None:
+        return [None] * len(pairs)
+    Ts_w_b = se3.from_quaternion_translation(states.poses[:, 3:], states.poses[:, :3])
+    A = np.zeros((layout.size, len(pairs), 6))  # transposed derivatives of (dp, dtheta)
+    for k, (i, j) in enumerate(pairs):
+        R_w_i, T_i_j = Ts_w_b[i, :3, :3], se3.inverse(Ts_w_b[i]) @ Ts_w_b[j]
+        at_i, at_j = layout.columns("pose", [i, j])
+        A[at_i[:3], k, :3], A[at_i[3:], k, :3] = -R_w_i, -so3.skew(T_i_j[:3, 3])
+        A[at_i[3:], k, 3:], A[at_j[3:], k, 3:] = -T_i_j[:3, :3], np.eye(3)
+        A[at_j[:3], k, :3] = R_w_i
+    half = factor.half(A.reshape(layout.size, -1)).reshape(A.shape)
+    return [half[:, k].T @ half[:, k] for k in range(len(pairs))]
 
 
 def ellipsoid(covariance: np.ndarray, sigmas: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
@@ -62,24 +94,36 @@ def ellipsoid(covariance: np.ndarray, sigmas: float = 3.0) -> tuple[np.ndarray, 
     return sigmas * np.sqrt(np.maximum(values, 0.0)), axes
 
 
-def _invert_cameras(system: NormalEquations, gauge: np.ndarray) -> np.ndarray | None:
-    """S^-1, computed in units of each variable's own standard deviation."""
+@dataclass(frozen=True)
+class _Factor:
+    """S = diag(1/scale) L L' diag(1/scale): in units of each variable's own standard deviation."""
+
+    L: np.ndarray
+    scale: np.ndarray
+
+    def inverse(self) -> np.ndarray:
+        inverse, _ = lapack.dpotri(self.L, lower=1)
+        inverse = np.tril(inverse) + np.tril(inverse, -1).T
+        return inverse * np.outer(self.scale, self.scale)
+
+    def half(self, A: np.ndarray) -> np.ndarray:
+        """B with B' B = A' S^-1 A."""
+        return solve_triangular(self.L, A * self.scale[:, None], lower=True, check_finite=False)
+
+
+def _factor_cameras(system: NormalEquations, gauge: np.ndarray) -> _Factor | None:
     S, _ = schur.eliminate(system, system.h)
     S[:6, :6] += gauge
     diagonal = S.diagonal()
     if not (diagonal > 0).all():
         return None
     scale = 1.0 / np.sqrt(diagonal)
-    factor, info = lapack.dpotrf(S * np.outer(scale, scale), lower=1, clean=1)
-    if info:
-        return None
-    inverse, _ = lapack.dpotri(factor, lower=1)
-    inverse = np.tril(inverse) + np.tril(inverse, -1).T
-    return inverse * np.outer(scale, scale)
+    L, info = lapack.dpotrf(S * np.outer(scale, scale), lower=1, clean=1)
+    return None if info else _Factor(L, scale)
 
 
 def _in_world(
-    problem: WindowProblem, states: States, poses: np.ndarray, coupled: np.ndarray, variance: np.ndarray
+    problem: WindowProblem, states: States, of_poses: np.ndarray, coupled: np.ndarray, variance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (M, 3) and covariances (M, 3, 3) of the landmarks."""
     table, M = problem.projections, problem.n_landmarks
@@ -96,7 +140,7 @@ def _in_world(
     J[:, :, 3:6] = -R @ so3.skew(x_b)
     J[:, :, 6] = -from_camera / states.inv_depths[:, None]
     joint = np.empty((M, 7, 7))
-    joint[:, :6, :6] = poses[anchor]
+    joint[:, :6, :6] = of_poses[anchor]
     columns = 6 * anchor[:, None] + np.arange(6)
     joint[:, 6, :6] = joint[:, :6, 6] = np.take_along_axis(coupled, columns, 1)
     joint[:, 6, 6] = variance

@@ -245,7 +245,7 @@ class _Evaluation:
     def _chain(self, g: np.ndarray) -> np.ndarray:
         """K' g along the first axis, K = d(tangent at x) / d(tangent at x_0): right Jacobians of the rotations."""
         layout = self._layout
-        turns = layout.columns("pose", np.arange(layout.n_frames))[:, 3:]
+        turns = layout.columns("pose", np.arange(layout.n_poses))[:, 3:]
         if layout.n_extrinsics:
             turns = np.concatenate([turns, layout.columns("extrinsic", np.arange(layout.n_extrinsics))[:, 3:]])
         g = g.copy()

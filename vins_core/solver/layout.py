@@ -1,6 +1,7 @@
 """Where the variables of the cameras are among the columns of the normal equations.
 
-Poses come first, 6 columns each, then extrinsics, 6 each if they are free, then speed-biases, 9 each: what a
+Poses come first, 6 columns each: those of the window's frames, then those of places, earlier keyframes that the window
+sees again, which have no speed and bias.  Extrinsics follow, 6 each if they are free, then speed-biases, 9 each: what a
 projection touches is one leading part of every matrix.
 """
 
@@ -30,11 +31,17 @@ class Layout:
 
     n_frames: int
     n_extrinsics: int  # free ones; 0 when they are held
+    n_places: int = 0
+
+    @property
+    def n_poses(self) -> int:
+        """Frames, then places."""
+        return self.n_frames + self.n_places
 
     @property
     def visual(self) -> int:
         """P: the columns that projections touch."""
-        return 6 * (self.n_frames + self.n_extrinsics)
+        return 6 * (self.n_poses + self.n_extrinsics)
 
     @property
     def size(self) -> int:
@@ -55,4 +62,4 @@ class Layout:
         return np.array([column for start, size in starts for column in range(start, start + size)], np.int64)
 
     def _start(self, kind: str) -> int:
-        return {"pose": 0, "extrinsic": 6 * self.n_frames, "speed_bias": self.visual}[kind]
+        return {"pose": 0, "extrinsic": 6 * self.n_poses, "speed_bias": self.visual}[kind]

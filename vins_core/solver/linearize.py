@@ -50,7 +50,9 @@ class Linearizer:
     def __init__(self, problem: WindowProblem):
         self.problem = problem
         self.layout = layout = Layout(
-            problem.n_frames, len(problem.initial.extrinsics) if problem.free_extrinsics else 0
+            problem.n_frames,
+            len(problem.initial.extrinsics) if problem.free_extrinsics else 0,
+            problem.n_places,
         )
         self.visual = VisualTerm(problem, layout) if len(problem.projections) else None
         self.inertial = InertialTerm(problem, layout) if problem.imu else None
@@ -77,13 +79,13 @@ class Linearizer:
 
     def retract(self, states: States, dc: np.ndarray, dl: np.ndarray) -> States:
         """states [+] (dc, dl)."""
-        n, P = self.layout.n_frames, self.layout.visual
+        n, P = self.layout.n_poses, self.layout.visual
         extrinsics = states.extrinsics
         if self.layout.n_extrinsics:
             extrinsics = retract_poses(extrinsics, dc[6 * n : P].reshape(-1, 6))
         return States(
             retract_poses(states.poses, dc[: 6 * n].reshape(n, 6)),
-            states.speed_biases + dc[P:].reshape(n, 9),
+            states.speed_biases + dc[P:].reshape(-1, 9),
             extrinsics,
             states.inv_depths + dl,
         )

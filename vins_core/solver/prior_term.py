@@ -20,7 +20,7 @@ class PriorTerm:
         speeds = [k for k, b in enumerate(blocks) if b.kind == "speed_bias"]
         # rows of the table (poses, extrinsics), and of the speed-biases
         self._pose_rows = [
-            b.slot + (layout.n_frames if b.kind == "extrinsic" else 0) for b in (blocks[k] for k in poses)
+            b.slot + (layout.n_poses if b.kind == "extrinsic" else 0) for b in (blocks[k] for k in poses)
         ]
         self._speed_rows = [blocks[k].slot for k in speeds]
         self._x0_poses = np.array([factor.x0[k] for k in poses]).reshape(-1, 7)

@@ -2,7 +2,8 @@
 
     min  1/2 |r_prior|^2 + 1/2 sum |L^-1 r_imu|^2 + 1/2 sum rho(|r_visual|^2)
 
-Frames are numbered by slot, oldest 0; the factors are tables of slots and rows.
+Frames are numbered by slot, oldest 0; the factors are tables of slots and rows.  Poses may go on after those of the
+frames: places, earlier keyframes that see landmarks of the window, tied to nothing else (REFERENCE R2).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from .layout import Variable
 class States:
     """The variables.  Tangent of a pose or extrinsic: (dp, dtheta), q = q0 * Exp(dtheta)."""
 
-    poses: np.ndarray  # (n, 7) p_w_b, q_w_b wxyz
+    poses: np.ndarray  # (n + places, 7) p_w_b, q_w_b wxyz
     speed_biases: np.ndarray  # (n, 9) v_w_b, b_a, b_g
     extrinsics: np.ndarray  # (cameras, 7) p_b_c, q_b_c
     inv_depths: np.ndarray  # (M,) 1/m along z of the anchor camera
@@ -36,7 +37,7 @@ class Projections:
     """One row per reprojection factor: each observation of a landmark but the anchor's own."""
 
     anchor: np.ndarray  # (N,) slot whose camera holds the inverse depth
-    observer: np.ndarray  # (N,) slot that sees the landmark again, later than the anchor
+    observer: np.ndarray  # (N,) slot that sees the landmark again, higher than the anchor
     landmark: np.ndarray  # (N,) row of States.inv_depths
     rays_i: np.ndarray  # (N, 3) unit ray in the anchor camera
     rays_j: np.ndarray  # (N, 3) unit ray in the observing camera
@@ -83,7 +84,11 @@ class WindowProblem:
 
     @property
     def n_frames(self) -> int:
-        return len(self.initial.poses)
+        return len(self.initial.speed_biases)
+
+    @property
+    def n_places(self) -> int:
+        return len(self.initial.poses) - self.n_frames
 
     @property
     def n_landmarks(self) -> int:

@@ -23,7 +23,7 @@ class VisualTerm:
         order = np.lexsort((problem.projections.observer, problem.projections.anchor))
         table = problem.projections[order]
         n = len(table)
-        new_pair = np.diff(table.anchor * layout.n_frames + table.observer, prepend=-1) != 0
+        new_pair = np.diff(table.anchor * layout.n_poses + table.observer, prepend=-1) != 0
         first = np.flatnonzero(new_pair)
         length = np.diff(first, append=n)
         self.pair = pair = np.repeat(np.arange(len(first)), length)  # (N,) row of `columns`

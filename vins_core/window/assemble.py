@@ -156,10 +156,10 @@ def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowSta
 
 
 def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
-    """Costs, iterations, and what each factor says at the solution."""
-    problem = assembly.problem
-    table = problem.projections
-    residuals = solution.system.residuals
+    """Costs, iterations, and what each factor of the window's own frames says at the solution."""
+    problem, residuals = assembly.problem, solution.system.residuals
+    own = problem.projections.observer < problem.n_frames  # the others see it from places (relocalize.py)
+    table = problem.projections[own]
     sigma = np.full((problem.n_frames - 1, 5), np.nan)
     sigma[[k for k, _ in problem.imu]] = np.linalg.norm(residuals.imu.reshape(-1, 5, 3), axis=2)
     return SolveReport(
@@ -170,7 +170,7 @@ def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
         n_landmarks=problem.n_landmarks,
         visual_ids=assembly.ids[table.landmark],
         visual_slots=np.stack([table.anchor, table.observer], 1).astype(np.uint8),
-        visual_error_px=(np.hypot(*residuals.visual) * (FOCAL_PX / problem.sqrt_info)).astype(np.float32),
+        visual_error_px=(np.hypot(*residuals.visual[:, own]) * (FOCAL_PX / problem.sqrt_info)).astype(np.float32),
         imu_sigma=sigma,
     )
 

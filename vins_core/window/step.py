@@ -17,6 +17,7 @@ from ..report import (
     LossReason,
     MarginalizationReport,
     PoseEstimate,
+    RelocalizationReport,
     SolveReport,
     Timings,
     WindowReport,
@@ -28,6 +29,7 @@ from ..solver.trust_region import Solution
 from . import degeneracy, health, landmarks
 from .assemble import Assembly, assemble, inv_depth_sigma, solve_report, unpack
 from .marginalize import NOTHING_LEFT, marginalize_oldest, marginalize_second_newest
+from .relocalize import RelocalisationRequest, add_places, relocalization_reports
 from .slide import drop_oldest, drop_second_newest
 from .state import WindowFrame, WindowState
 
@@ -44,6 +46,7 @@ class Estimate:
     landmarks: LandmarkReport
     health: HealthReport
     marginalization: MarginalizationReport | None
+    relocalizations: tuple[RelocalizationReport, ...] = ()  # not judged yet: that is for the loop stage
 
     def explain(self, report: FrameReport) -> FrameReport:
         return replace(
@@ -54,6 +57,7 @@ class Estimate:
             health=self.health,
             marginalization=self.marginalization,
             pose=self.pose,
+            relocalizations=self.relocalizations,
         )
 
 
@@ -68,22 +72,36 @@ class Solved:
     report: SolveReport
     judged: WindowState  # without the landmarks that were rejected: what is marginalised
     rejected: dict[LossReason, np.ndarray]
+    relocalizations: tuple[RelocalizationReport, ...] = ()
 
 
-def solve_window(params: Params, calibration: Calibration, window: WindowState, ms: Timings) -> Solved:
-    """The first half of a turn: re-propagate, triangulate, solve, reject."""
+def solve_window(
+    params: Params,
+    calibration: Calibration,
+    window: WindowState,
+    ms: Timings,
+    requests: tuple[RelocalisationRequest, ...] = (),
+) -> Solved:
+    """The first half of a turn: re-propagate, triangulate, solve, reject.
+
+    Requests whose later keyframe is in the window are solved for with it and answered (relocalize.py).
+    """
     with stopwatch(ms, "repropagate"):
         window = _repropagate(params.imu, window, calibration.noise)
     with stopwatch(ms, "triangulate"):
         window = landmarks.triangulate(params.window, window)
     with stopwatch(ms, "solve"):
-        assembly = assemble(params, window, calibration.gravity_m_s2)
+        assembly, places = add_places(assemble(params, window, calibration.gravity_m_s2), window, requests)
         solution = solve(params, assembly.problem)
         solved = unpack(window, assembly, solution.states)
     with stopwatch(ms, "explain"):
         report = solve_report(assembly, solution)
         judged, rejected = landmarks.reject(params.window, solved, report)
-    return Solved(window, assembly, solution, solved, report, judged, rejected)
+    turn = Solved(window, assembly, solution, solved, report, judged, rejected)
+    if not places:
+        return turn
+    with stopwatch(ms, "relocalize"):
+        return replace(turn, relocalizations=relocalization_reports(assembly.problem, places, solution))
 
 
 def estimate(
@@ -93,6 +111,7 @@ def estimate(
     keyframe: KeyframeReport,
     previous: PoseEstimate | None,
     ms: Timings,
+    requests: tuple[RelocalisationRequest, ...] = (),
 ) -> Estimate:
     """Solve a window and slide it.
 
@@ -100,7 +119,7 @@ def estimate(
     A window that is not full, because its size was raised in the middle of a run, keeps its oldest.
     `previous` is the estimate of the frame before, None right after an initialisation.
     """
-    turn = solve_window(params, calibration, window, ms)
+    turn = solve_window(params, calibration, window, ms, requests)
     leaves_oldest = keyframe.is_keyframe and len(window.frames) > params.window.size
     with stopwatch(ms, "explain"):
         landmark_report = landmarks.report(
@@ -111,7 +130,9 @@ def estimate(
         verdict = health.check(params.health, keyframe.tracked, previous, pose)
         gates, motion = degeneracy.check(params.health, turn.solved.frames, turn.solved.T_b_c[0][:3, :3])
         verdict = replace(verdict, gates=(*verdict.gates, *gates), degeneracy=motion)
-    done = Estimate(None, pose, turn.rejected, turn.report, window_report, landmark_report, verdict, None)
+    done = Estimate(
+        None, pose, turn.rejected, turn.report, window_report, landmark_report, verdict, None, turn.relocalizations
+    )
     if not all_pass(verdict.gates):
         return done
     if keyframe.is_keyframe and not leaves_oldest:
