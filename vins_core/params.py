@@ -362,6 +362,28 @@ class Loop:
     ] = "gravity"
     max_heading_deg: Annotated[float, Range(1, 180), Doc("heading difference (VINS: 30)", "deg")] = 35.0
     max_distance_m: Annotated[float, Range(0.1, 1000), Doc("distance between the keyframes (VINS: 20)", "m")] = 20.0
+    consistency: Annotated[
+        bool, Doc("a loop must fit what odometry and earlier loops allow, within their covariance (parity: off)")
+    ] = False
+    drift_inflation: Annotated[
+        float,
+        Range(1, 50),
+        Doc(
+            "standard deviations of odometry and loops count so many times: what the estimator claims is too little, "
+            "for errors are common to all increments of a window; wholly so, they would grow as the square root of its "
+            "keyframes"
+        ),
+    ] = 3.2
+    max_drift: Annotated[
+        float, Range(1, 100), Doc("largest correction a loop may ask for, whatever agrees with it", "sigma")
+    ] = 6.0
+    sure_drift: Annotated[
+        float, Range(0, 100), Doc("a loop that asks for a larger correction waits until others agree", "sigma")
+    ] = 4.0
+    min_agreement: Annotated[
+        int, Range(0, 20), Doc("other keyframes that must ask for the same correction, where that is needed")
+    ] = 2
+    agreement_span: Annotated[int, Range(1, 100), Doc("keyframes back among which they are looked for")] = 5
 
 
 @dataclass(frozen=True)

@@ -275,6 +275,8 @@ class LoopOutcome(StrEnum):
     TILT = "gravity"
     HEADING = "heading"
     DISTANCE = "distance"
+    INCONSISTENT = "odometry"
+    UNCONFIRMED = "waiting for others to agree"
     ACCEPTED = "accepted"
 
 
@@ -321,6 +323,8 @@ class LoopCandidate:
     matches: LoopMatches | None = None
     T_match_query: np.ndarray | None = None  # (7,) p and q wxyz: the later body in the earlier one
     covariance: np.ndarray | None = None  # (6, 6) of it, tangent (dp, dtheta): p + dp, q * Exp(dtheta)
+    T_predicted: np.ndarray | None = None  # (7,) the same by odometry and earlier loops; None where nothing joins them
+    predicted_covariance: np.ndarray | None = None  # (6, 6) of it as claimed, before `loop.drift_inflation`
 
     @property
     def accepted(self) -> bool:
@@ -340,6 +344,8 @@ class LoopReport:
     gates: tuple[Gate, ...]  # about this keyframe alone
     candidates: tuple[LoopCandidate, ...]  # in the order of verification
     outcome: LoopOutcome  # the furthest that it came
+    T_w_b: np.ndarray | None = None  # (7,) p and q wxyz of the body in the odometry's world
+    odometry: np.ndarray | None = None  # (6, 6) as in LoopKeyframe
 
     @property
     def accepted(self) -> LoopCandidate | None:
@@ -455,6 +461,64 @@ class ClosureReport:
     graph: PoseGraphReport | None  # of an optimisation whose result is used from this frame on
     drift: np.ndarray  # (7,) T_g_o of this session by the graph: accurate, late (seed 000.3.3.5)
     fast_drift: np.ndarray  # (7,) the same by the newest loop: at once
+
+
+class FixVerdict(StrEnum):
+    """What became of a GPS fix.  Only `USED` ones pull at the trajectory."""
+
+    USED = "used"
+    GATED = "gated"
+    OPEN = "kept for the alignment"
+
+
+class GpsStatus(StrEnum):
+    """What the GPS fusion is doing after a frame."""
+
+    WAITING = "waiting for a fix"
+    ALIGNING = "aligning"
+    FUSING = "fusing"
+
+
+@dataclass(frozen=True)
+class FixReport:
+    """One GPS fix as it was judged when it came (SPEC 8.2).  The antenna, not the body, is at `z_e`."""
+
+    t_ns: int
+    verdict: FixVerdict
+    gates: tuple[Gate, ...]  # status, position, standard deviation, age, gap between frames, chi-square
+    z_e: np.ndarray | None  # (3,) m, east, north, up; None without an origin or a finite position
+    covariance: np.ndarray | None  # (3, 3) as it is weighted
+    innovation_m: np.ndarray | None  # (3,) fix minus prediction; None before the alignment
+    innovation_covariance: np.ndarray | None  # (3, 3)
+
+
+@dataclass(frozen=True)
+class FixRevision:
+    """A fix whose verdict changed, because later ones agree or disagree with it."""
+
+    t_ns: int
+    verdict: FixVerdict
+
+
+@dataclass(frozen=True)
+class GpsReport:
+    """What GPS fusion made of one frame.  `e` is east-north-up at the origin, `o` the odometry's world."""
+
+    status: GpsStatus
+    fixes: tuple[FixReport, ...]  # judged in this frame
+    revised: tuple[FixRevision, ...]
+    gates: tuple[Gate, ...]  # of the alignment, and how long the outage lasts (advisory)
+    outcome: str  # "" or one sentence: why fixes do not count yet, or that the alignment was lost
+    origin: np.ndarray | None  # (3,) latitude, longitude in degrees, altitude in metres
+    T_e_o: np.ndarray | None  # (7,) drift correction of the newest frame; None before the alignment
+    T_e_b: np.ndarray | None  # (7,) newest frame
+    covariance: np.ndarray | None  # (6, 6) of p_e_b in m and of R_e_o, turned on the side of o, in rad
+    yaw_deg: float | None  # of T_e_o; also while aligning
+    yaw_sigma_deg: float | None
+    scale: float | None  # by how much the odometry is too short, as a share
+    scale_sigma: float | None
+    n_window: int  # moments with fixes that are still open
+    iterations: int  # of the last solve; 0 without one
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Every gate of the loop stage: its name, its limit's parameter, and what failing it means (REFERENCE 16).
 
-Gates are made here and nowhere else, so that one table explains them all.  Values never depend on limits: what other
-limits would have decided follows from the gates alone (rejudge.py).
+Gates are made here and nowhere else, so that one table explains them all.  Values do not depend on limits, but those
+of consistency depend on what was decided before: rejudge.py tells what other limits would have decided.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ MEANING: Mapping[str, LoopOutcome] = MappingProxyType(
         "tilt": LoopOutcome.TILT,
         "heading": LoopOutcome.HEADING,
         "distance": LoopOutcome.DISTANCE,
+        "drift": LoopOutcome.INCONSISTENT,
+        "agreement": LoopOutcome.UNCONFIRMED,
     }
 )
 """What it means to fail a gate, in the order in which they are judged."""
@@ -123,3 +125,13 @@ def heading(params: Loop, angle_deg: float | None) -> Gate:
 
 def distance(params: Loop, distance_m: float | None) -> Gate:
     return Gate("distance", distance_m, "<=", params.max_distance_m, "loop.max_distance_m", "m")
+
+
+def drift(params: Loop, sigmas: float | None, decides: bool = True) -> Gate:
+    """Correction that the loop asks for, over the standard deviation of what was known (consistency.py)."""
+    return Gate("drift", sigmas, "<=", params.max_drift, "loop.max_drift", "sigma", decides)
+
+
+def agreement(params: Loop, n: int | None, decides: bool = True) -> Gate:
+    """Keyframes shortly before that ask for the same correction; decides where the bound alone does not."""
+    return Gate("agreement", n, ">=", params.min_agreement, "loop.min_agreement", "keyframes", decides)

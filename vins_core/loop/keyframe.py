@@ -13,6 +13,7 @@ from ..geometry.camera import CameraModel
 from ..window.assemble import gather_tracks
 from ..window.landmarks import camera_poses
 from ..window.state import TRIANGULATED, WindowState
+from .consistency import Node
 from .describe import Describer
 from .index import InvertedIndex
 from .vocabulary import BagOfWords, Vocabulary
@@ -36,6 +37,11 @@ class LoopKeyframe:
     rays: np.ndarray  # (n, 3) float32, unit rays in the camera
     descriptors: np.ndarray  # (n, 32) uint8
     bag: BagOfWords
+    odometry: np.ndarray | None = None
+    """(6, 6) covariance of T_previous_this, the motion since the keyframe before this one, as the window knew it;
+    tangent (dp, dtheta): p + dp, q * Exp(dtheta).  None where no odometry joins them: at the start of a session."""
+    node: Node | None = None
+    """Where consistency has it; from when it is remembered on (step.py)."""
 
     @property
     def n_landmarks(self) -> int:

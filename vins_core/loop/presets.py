@@ -41,6 +41,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "loop.max_sigma_m": 100.0,
             "loop.max_tilt_deg": 180.0,
             "loop.heading": "euler",
+            "loop.consistency": False,
         },
         "seed": {
             **_VINS_LIMITS,

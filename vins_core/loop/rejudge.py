@@ -1,44 +1,73 @@
-"""What other limits would have decided, from the gates alone: no descriptor is touched (SPEC 9.3a).
+"""What other limits would have decided, from reports alone: no descriptor is touched (SPEC 9.3a).
 
-Exact for limits; parameters that change values (descriptor, ratio, RANSAC ...) need the keyframes again (`detect`).
+Of one keyframe as long as all that was decided before stands (`rejudge`), or of a whole run, where what is accepted
+early changes what is consistent later (`rejudge_run`).  Exact for limits; parameters that change values (descriptor,
+ratio, RANSAC ...) need the keyframes again (`detect`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 from ..params import DECLARATIONS, Loop
-from ..report import Gate, LoopCandidate, LoopReport
+from ..report import Gate, LoopCandidate, LoopReport, all_pass
 from . import gates
+from .consistency import Arrived, Node, arrive, judge, settle
+from .keyframe import LoopKeyframe
 from .step import decide, retrieval_gates
 from .vocabulary import ScoreLimits
 
 LIMITS = frozenset(
     {"candidates", "order", "score", "min_score_ratio", "min_score", "min_neighbour_score", "min_matches"}
     | {"min_epipolar", "min_inliers", "max_rms_px", "max_sigma_m", "max_tilt_deg", "max_heading_deg", "max_distance_m"}
+    | {"consistency", "drift_inflation", "max_drift", "sure_drift", "min_agreement", "agreement_span"}
 )
 """Parameters of `loop` that only set limits."""
 
 _NAMES = list(gates.MEANING)
-_VERIFICATION = frozenset(_NAMES[_NAMES.index("matches") :])
+_VERIFICATION = frozenset(_NAMES[_NAMES.index("matches") : _NAMES.index("drift")])
+_CONSISTENCY = frozenset(_NAMES[_NAMES.index("drift") :])
 
 
-def rejudge(params: Loop, limits: ScoreLimits, report: LoopReport) -> LoopReport:
+def rejudge_run(
+    params: Loop, limits: ScoreLimits, reports: Iterable[LoopReport], earlier: Sequence[LoopKeyframe] = ()
+) -> Iterator[LoopReport]:
+    """The reports of a run of `detect(..., evaluate_all=True)` as `params` would have had them, one after the other.
+
+    `earlier`: the keyframes of the map that the run began with.  Reports of keyframes that were left out stay.
+    """
+    nodes: list[Node] = [k.node for k in earlier if k.node]
+    before = earlier[-1].T_w_b if earlier else None
+    for report in reports:
+        if report.keyframe < 0:
+            yield report
+            continue
+        assert report.keyframe == len(nodes) and report.T_w_b is not None
+        arrived = arrive(lambda k: nodes[k], len(nodes), report.T_w_b, before, report.odometry)
+        again = rejudge(params, limits, report, arrived)
+        nodes.append(settle(arrived, again))
+        before = report.T_w_b
+        yield again
+
+
+def rejudge(params: Loop, limits: ScoreLimits, report: LoopReport, nodes: Arrived | None = None) -> LoopReport:
     """The report of `detect(..., evaluate_all=True)` as `params` would have had it.
+
+    `nodes`: what consistency knew then; without them, all that was decided before counts as it was recorded.
 
     They may differ from those it was made with in LIMITS; `candidates` may only fall, for what was never looked at
     stays unknown.  Raises ValueError for a report without all gates.
     """
-    if any(c.gates[-1].name != _NAMES[-1] for c in report.candidates):
+    if any(all(g.name != "distance" for g in c.gates) for c in report.candidates):
         raise ValueError("only a report of `detect(..., evaluate_all=True)` says what other limits decide")
     own = tuple(
         gates.distinctive(params, g.value, limits) if g.name == "distinctive" else _limited(params, g)
         for g in report.gates
     )
     ranked = sorted(report.candidates, key=lambda c: (-c.score, c.match))[: params.candidates]
-    judged = [_rejudged(params, limits, report, c, ranked) for c in ranked]
+    judged = [_rejudged(params, limits, report, c, ranked, nodes) for c in ranked]
     if params.order == "oldest":
         judged.sort(key=lambda c: c.match)
     return decide(replace(report, gates=own), judged)
@@ -67,7 +96,12 @@ def smallest_change(judged: Iterable[Gate]) -> dict[str, Any] | None:
 
 
 def _rejudged(
-    params: Loop, limits: ScoreLimits, report: LoopReport, candidate: LoopCandidate, ranked: list[LoopCandidate]
+    params: Loop,
+    limits: ScoreLimits,
+    report: LoopReport,
+    candidate: LoopCandidate,
+    ranked: list[LoopCandidate],
+    nodes: Arrived | None,
 ) -> LoopCandidate:
     retrieval = retrieval_gates(
         params,
@@ -79,7 +113,20 @@ def _rejudged(
         [c.score for c in ranked if c.match < candidate.match],
     )
     verification = tuple(_limited(params, g) for g in candidate.gates if g.name in _VERIFICATION)
-    return replace(candidate, gates=retrieval + verification)
+    judged = retrieval + verification
+    if nodes is not None and all_pass(judged):
+        return judge(params, nodes, replace(candidate, gates=judged))
+    return replace(candidate, gates=judged + _as_recorded(params, candidate))
+
+
+def _as_recorded(params: Loop, candidate: LoopCandidate) -> tuple[Gate, ...]:
+    """The gates of consistency with other limits."""
+    recorded = [_limited(params, g) for g in candidate.gates if g.name in _CONSISTENCY]
+    if not recorded or not params.consistency:
+        return ()
+    drift, agreement = recorded
+    sure = drift.decides and drift.value is not None and drift.value <= params.sure_drift
+    return drift, replace(agreement, decides=not sure)
 
 
 def _limited(params: Loop, gate: Gate) -> Gate:

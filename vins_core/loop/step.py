@@ -14,7 +14,8 @@ import numpy as np
 
 from ..params import Loop
 from ..report import LOOP_OUTCOMES, Gate, LoopCandidate, LoopOutcome, LoopReport, all_pass
-from . import gates
+from . import consistency, gates
+from .consistency import Arrived, Node
 from .index import InvertedIndex
 from .keyframe import Keyframes, LoopKeyframe
 from .verify import Pair, verify
@@ -37,6 +38,12 @@ class LoopState:
     @property
     def index(self) -> InvertedIndex:
         return self.keyframes.inverted(self.n)
+
+    def node(self, k: int) -> Node:
+        """What consistency knows of keyframe k."""
+        node = self.keyframes[k].node
+        assert node is not None  # every keyframe has one once it is remembered
+        return node
 
 
 def begin(limits: ScoreLimits) -> LoopState:
@@ -61,11 +68,12 @@ def detect(params: Loop, state: LoopState, keyframe: LoopKeyframe, evaluate_all:
     if params.order == "oldest":
         order = np.sort(order)
     own = _own_gates(params, state.limits, keyframe, scores)
+    nodes = _arrived(state, query, keyframe)
     candidates: list[LoopCandidate] = []
     for match in order.tolist() if evaluate_all or all_pass(own) else ():
         pair = _pair(params, state, keyframe, scores, match)
         done = any(c.accepted for c in candidates) and not evaluate_all
-        candidates.append(_unverified(pair) if done else verify(params, pair, evaluate_all))
+        candidates.append(_unverified(pair) if done else _verified(params, pair, nodes, evaluate_all))
     return decide(_report(query, keyframe, scores, own), candidates)
 
 
@@ -80,12 +88,15 @@ def examine(params: Loop, state: LoopState, query: int, match: int) -> LoopRepor
     scores = state.index.scores(keyframe.bag)[:query]
     own = _own_gates(params, state.limits, keyframe, scores)
     pair = _pair(params, state, keyframe, scores, match)
-    return decide(_report(query, keyframe, scores, own), [verify(params, pair, evaluate_all=True)])
+    nodes = _arrived(state, query, keyframe)
+    return decide(_report(query, keyframe, scores, own), [_verified(params, pair, nodes, evaluate_all=True)])
 
 
-def remember(state: LoopState, keyframe: LoopKeyframe) -> LoopState:
-    """The state with the keyframe in it."""
-    keyframes = state.keyframes.extended(len(state), keyframe)
+def remember(state: LoopState, keyframe: LoopKeyframe, report: LoopReport | None = None) -> LoopState:
+    """The state with the keyframe in it, about which `report` has decided."""
+    nodes = _arrived(state, len(state), keyframe)
+    node = consistency.settle(nodes, report) if report else nodes.node
+    keyframes = state.keyframes.extended(len(state), replace(keyframe, node=node))
     return replace(state, keyframes=keyframes, n=state.n + 1, since=1)
 
 
@@ -147,6 +158,17 @@ def _pair(params: Loop, state: LoopState, keyframe: LoopKeyframe, scores: np.nda
     return Pair(query, match, keyframe, state.keyframes[match], float(mine), judged)
 
 
+def _arrived(state: LoopState, k: int, keyframe: LoopKeyframe) -> Arrived:
+    """The nodes of all keyframes up to number k, which is this one."""
+    before = state.keyframes[k - 1].T_w_b if k else None
+    return consistency.arrive(state.node, k, keyframe.T_w_b, before, keyframe.odometry)
+
+
+def _verified(params: Loop, pair: Pair, nodes: Arrived, evaluate_all: bool) -> LoopCandidate:
+    candidate = verify(params, pair, evaluate_all)
+    return consistency.judge(params, nodes, candidate) if evaluate_all or all_pass(candidate.gates) else candidate
+
+
 def neighbour_score(scores: np.ndarray) -> float | None:
     """With the previous keyframe; None for the first."""
     return float(scores[-1]) if len(scores) else None
@@ -172,6 +194,8 @@ def _report(query: int, keyframe: LoopKeyframe, scores: np.ndarray, own: tuple[G
         own,
         (),
         LoopOutcome.TOO_RECENT,
+        keyframe.T_w_b,
+        keyframe.odometry,
     )
 
 
