@@ -141,9 +141,9 @@ def pull(J: np.ndarray, r: np.ndarray, held: np.ndarray) -> Pull:
     Q, R, _ = qr(others / np.where(norms > 0, norms, 1.0), pivoting=True, check_finite=False)
     rank = int(np.sum(np.abs(R.diagonal()) > 1e-10))
     A, b = Q[:, rank:].T @ (J @ held), Q[:, rank:].T @ r
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    known = s > 1e-9 * max(s[0], 1e-300) if len(s) else np.zeros(0, bool)
-    inverse = np.where(known, 1.0 / np.where(known, s, 1.0), 0.0)
-    variance = np.square(Vt.T * inverse).sum(1)
-    vague = np.square(Vt.T[:, ~known]).sum(1) > 1e-9 if len(s) == held.shape[1] else np.ones(held.shape[1], bool)
-    return Pull(0.5 * float(b @ b), -Vt.T @ (inverse * (U.T @ b)), np.where(vague, np.nan, np.sqrt(variance)))
+    U, s, Vt = np.linalg.svd(A)
+    known = int(np.sum(s > 1e-9 * s.max(initial=1e-300)))
+    V, inverse = Vt[:known].T, 1.0 / s[:known]
+    sigma = np.sqrt(np.square(V * inverse).sum(1))
+    vague = np.square(Vt[known:]).sum(0) > 1e-9
+    return Pull(0.5 * float(b @ b), -V @ (inverse * (U[:, :known].T @ b)), np.where(vague, np.nan, sigma))

@@ -1,0 +1,18 @@
+"""docs/parity.yaml: settings of VINS-Mono that a user can run with."""
+
+from pathlib import Path
+
+from vins_core import params
+from vins_core.io.params_yaml import read_params
+
+PARITY = read_params(Path(__file__).parents[2] / "docs" / "parity.yaml")
+
+
+def test_every_setting_of_parity_differs_from_ours():
+    changed = params.changed(params.replace(params.Params(), PARITY))
+    assert changed == PARITY
+
+
+def test_every_parameter_that_names_a_switch_back_to_vins_is_in_it():
+    named = {key for key, d in params.OFFERED.items() if "(parity: off)" in d.doc or "VINS-Mono: off)" in d.doc}
+    assert named <= PARITY.keys()
