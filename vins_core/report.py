@@ -569,7 +569,8 @@ class ClosureSummary:
     match: int  # the keyframe that it closes a loop with, -1 for none
     edges: tuple[LoopEdge, ...]
     optimized: bool
-    drift: np.ndarray  # (7,)
+    drift: np.ndarray  # (7,) by the graph
+    fast_drift: np.ndarray | None = None  # (7,) by the newest loop
 
 
 @dataclass(frozen=True)
@@ -640,4 +641,5 @@ def _summarize_closure(report: ClosureReport) -> ClosureSummary:
         edges=report.edges,
         optimized=report.graph is not None,
         drift=report.drift,
+        fast_drift=report.fast_drift,
     )
