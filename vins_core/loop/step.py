@@ -8,7 +8,7 @@ have accepted it.  Both give the same decision.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from .vocabulary import ScoreLimits
 class LoopState:
     """What the loop stage carries from keyframe to keyframe."""
 
-    keyframes: Keyframes  # shared by all states of a run; the first `n` belong to this one
+    keyframes: Keyframes = field(compare=False)  # shared by all states of a run; the first `n` belong to this one
     limits: ScoreLimits  # of the vocabulary
     n: int = 0
     seen: int = 0  # keyframes offered so far, used or not
@@ -46,6 +46,18 @@ class LoopState:
         return node
 
 
+@dataclass(frozen=True)
+class Retrieved:
+    """An earlier keyframe that the scores say something about."""
+
+    match: int
+    score: float
+    gates: tuple[Gate, ...]
+
+    def pair(self, query: int, later: LoopKeyframe, earlier: LoopKeyframe) -> Pair:
+        return Pair(query, self.match, later, earlier, self.score, self.gates)
+
+
 def begin(limits: ScoreLimits) -> LoopState:
     """The state before the first keyframe."""
     return LoopState(Keyframes(), limits)
@@ -62,19 +74,13 @@ def admit(params: Loop, state: LoopState, p_w_b: np.ndarray) -> tuple[LoopState,
 
 def detect(params: Loop, state: LoopState, keyframe: LoopKeyframe, evaluate_all: bool = False) -> LoopReport:
     """The loops of a keyframe that is about to be remembered.  Pure."""
-    query = len(state)
-    scores = state.index.scores(keyframe.bag)
-    order = _best(params, scores[: _eligible(params, query)])
-    if params.order == "oldest":
-        order = np.sort(order)
-    own = _own_gates(params, state.limits, keyframe, scores)
-    nodes = _arrived(state, query, keyframe)
-    candidates: list[LoopCandidate] = []
-    for match in order.tolist() if evaluate_all or all_pass(own) else ():
-        pair = _pair(params, state, keyframe, scores, match)
-        done = any(c.accepted for c in candidates) and not evaluate_all
-        candidates.append(_unverified(pair) if done else _verified(params, pair, nodes, evaluate_all))
-    return decide(_report(query, keyframe, scores, own), candidates)
+    return _detect(params, state, keyframe, state.index.scores(keyframe.bag), evaluate_all)
+
+
+def detect_again(params: Loop, state: LoopState, query: int) -> LoopReport:
+    """`detect(..., evaluate_all=True)` of a keyframe that has been remembered, as of then: 0 <= query < len(state)."""
+    keyframe = state.keyframes[query]
+    return _detect(params, state, keyframe, state.index.scores(keyframe.bag)[:query], evaluate_all=True)
 
 
 def examine(params: Loop, state: LoopState, query: int, match: int) -> LoopReport:
@@ -86,8 +92,8 @@ def examine(params: Loop, state: LoopState, query: int, match: int) -> LoopRepor
         raise IndexError(f"keyframes {match} and {query}: expected 0 <= match < query < {len(state)}")
     keyframe = state.keyframes[query]
     scores = state.index.scores(keyframe.bag)[:query]
-    own = _own_gates(params, state.limits, keyframe, scores)
-    pair = _pair(params, state, keyframe, scores, match)
+    own = _own_gates(params, state.limits, keyframe.n_landmarks, scores)
+    pair = _retrieved(params, state.limits, scores, match).pair(query, keyframe, state.keyframes[match])
     nodes = _arrived(state, query, keyframe)
     return decide(_report(query, keyframe, scores, own), [_verified(params, pair, nodes, evaluate_all=True)])
 
@@ -138,6 +144,34 @@ def retrieval_gates(
     return judged
 
 
+def retrieve(
+    params: Loop, limits: ScoreLimits, n_landmarks: int, scores: np.ndarray
+) -> tuple[tuple[Gate, ...], tuple[Retrieved, ...]]:
+    """What is told from the scores (n,) of a keyframe with all earlier ones: its own gates, and its candidates."""
+    eligible = scores[: _eligible(params, len(scores))]
+    order = _best(params, eligible)
+    if params.order == "oldest":
+        order = np.sort(order)
+    found = tuple(_retrieved(params, limits, scores, match) for match in order.tolist())
+    return _own_gates(params, limits, n_landmarks, scores), found
+
+
+def _detect(
+    params: Loop, state: LoopState, keyframe: LoopKeyframe, scores: np.ndarray, evaluate_all: bool
+) -> LoopReport:
+    query = len(scores)
+    own, found = retrieve(params, state.limits, keyframe.n_landmarks, scores)
+    nodes = _arrived(state, query, keyframe)
+    candidates: list[LoopCandidate] = []
+    for retrieved in found if evaluate_all or all_pass(own) else ():
+        if any(c.accepted for c in candidates) and not evaluate_all:
+            candidates.append(_unverified(query, retrieved))
+        else:
+            pair = retrieved.pair(query, keyframe, state.keyframes[retrieved.match])
+            candidates.append(_verified(params, pair, nodes, evaluate_all))
+    return decide(_report(query, keyframe, scores, own), candidates)
+
+
 def _eligible(params: Loop, query: int) -> int:
     """How many keyframes, from the first on, lie far enough before this one."""
     return max(query - params.min_gap, 0)
@@ -148,14 +182,14 @@ def _best(params: Loop, eligible: np.ndarray) -> np.ndarray:
     return np.argsort(-eligible, kind="stable")[: params.candidates]
 
 
-def _pair(params: Loop, state: LoopState, keyframe: LoopKeyframe, scores: np.ndarray, match: int) -> Pair:
+def _retrieved(params: Loop, limits: ScoreLimits, scores: np.ndarray, match: int) -> Retrieved:
     query, mine = len(scores), scores[match]
     eligible = scores[: _eligible(params, query)]
     rank = 1 + np.count_nonzero(eligible > mine) + np.count_nonzero(eligible[:match] == mine)
     others = _best(params, eligible) if params.order == "oldest" else np.zeros(0, int)
     neighbour, rivals = neighbour_score(scores), scores[others[others < match]]
-    judged = retrieval_gates(params, state.limits, neighbour, query - match - 1, float(mine), int(rank), rivals)
-    return Pair(query, match, keyframe, state.keyframes[match], float(mine), judged)
+    judged = retrieval_gates(params, limits, neighbour, query - match - 1, float(mine), int(rank), rivals)
+    return Retrieved(match, float(mine), judged)
 
 
 def _arrived(state: LoopState, k: int, keyframe: LoopKeyframe) -> Arrived:
@@ -174,10 +208,10 @@ def neighbour_score(scores: np.ndarray) -> float | None:
     return float(scores[-1]) if len(scores) else None
 
 
-def _own_gates(params: Loop, limits: ScoreLimits, keyframe: LoopKeyframe, scores: np.ndarray) -> tuple[Gate, ...]:
+def _own_gates(params: Loop, limits: ScoreLimits, n_landmarks: int, scores: np.ndarray) -> tuple[Gate, ...]:
     known = np.append(scores[: _eligible(params, len(scores))], scores[-1:])
     return (
-        gates.landmarks(params, keyframe.n_landmarks),
+        gates.landmarks(params, n_landmarks),
         gates.between(params, len(scores) - 1),
         gates.distinctive(params, float(known.max()) if len(known) else None, limits),
     )
@@ -199,5 +233,5 @@ def _report(query: int, keyframe: LoopKeyframe, scores: np.ndarray, own: tuple[G
     )
 
 
-def _unverified(pair: Pair) -> LoopCandidate:
-    return LoopCandidate(pair.query, pair.match, pair.score, pair.retrieval, gates.outcome(pair.retrieval))
+def _unverified(query: int, found: Retrieved) -> LoopCandidate:
+    return LoopCandidate(query, found.match, found.score, found.gates, gates.outcome(found.gates))
