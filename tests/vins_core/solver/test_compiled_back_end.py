@@ -112,6 +112,22 @@ def test_any_number_of_projections_is_evaluated(compiled: Backend, n: int) -> No
 
 
 @needs_compiler
+def test_a_place_seen_again_has_the_bits_of_numpy(compiled: Backend) -> None:
+    """One more pose after those of the frames, which sees what the newest frame sees."""
+    p = problem()
+    table, newest = p.projections, p.n_frames - 1
+    rows = np.concatenate([np.arange(len(table)), np.flatnonzero(table.observer == newest)])
+    observer = np.append(table.observer, np.full(len(rows) - len(table), p.n_frames))
+    initial = replace(p.initial, poses=np.concatenate([p.initial.poses, p.initial.poses[-1:]]))
+    p = replace(p, initial=initial, projections=replace(table[rows], observer=observer))
+    assert (p.n_frames, p.n_places) == (newest + 1, 1)
+    assert differences(linearize(compiled, p), linearize(choose("numpy"), p)) == []
+    with using(compiled):
+        ours = solve(Params(), p)
+    assert len(ours.iterations) > 2 and differences(ours, solve(Params(), p)) == []
+
+
+@needs_compiler
 def test_a_point_in_the_cameras_plane_has_no_finite_cost_in_either(compiled: Backend) -> None:
     p = problem(prior=None, imu=())
     identity = np.array([0.0, 0, 0, 1, 0, 0, 0])
