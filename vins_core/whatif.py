@@ -61,8 +61,13 @@ def resolve(
         else:
             tracked = recorded_tracks(run, k, params)
             _, after, ms = advance(params, header.calibration, state, packet, tracked, {})
-    before, after = (replace(report, relocalizations=(), closure=None) for report in (before, after))
+    before, after = without_map(before), without_map(after)
     return WhatIf(before, after, header.params_at(k), params, ms, rerun_frontend)
+
+
+def without_map(report: FrameReport) -> FrameReport:
+    """What front end and estimator said of a frame."""
+    return replace(report, relocalizations=(), closure=None)
 
 
 def needs_frontend(changes: dict[str, object]) -> bool:

@@ -17,7 +17,7 @@ def differences(a: object, b: object, path: str = "") -> list[str]:
         same = (a.dtype, a.shape, a.tobytes(), a.flags.fnc) == (b.dtype, b.shape, b.tobytes(), b.flags.fnc)
         return [] if same else [f"{path}: arrays differ"]
     if dataclasses.is_dataclass(a):
-        names = [f.name for f in dataclasses.fields(a)]
+        names = [f.name for f in dataclasses.fields(a) if f.compare]  # others only grow, and are shared
         return [d for n in names for d in differences(getattr(a, n), getattr(b, n), f"{path}.{n}")]
     if isinstance(a, dict):
         assert isinstance(b, dict)

@@ -11,20 +11,20 @@ import pytest
 from same import differences
 from sample import CALIBRATION, RECORDING
 
-from vins_core.pipeline import start, step
+from vins_core.pipeline import step
 from vins_core.record.codec import pack
-from vins_core.record.fork import recorded_images
-from vins_core.record.recording import RunReader
+from vins_core.record.fork import recorded_images, state_before
+from vins_core.record.recording import RunReader, state_sections
 from vins_core.runner import run_recording
 
 
 def replay(run: RunReader, at: int, frames: int) -> list[str]:
     """Where `frames` frames repeated from the restored state before frame `at` differ from the recorded ones."""
     header, found = run.header, []
-    state = start(header.calibration) if at == 0 else run.state(at - 1)
+    state = state_before(run, at)
     with recorded_images(run) as images:
         for k in range(at, min(at + frames, len(run))):
-            state, report, _ = step(header.params, header.calibration, images, state, run.packet(k))
+            state, report, _ = step(header.params, header.calibration, images, state, run.packet(k), run.places)
             found += [f"frame {k}{d}" for d in differences(report, run.report(k)) + differences(state, run.state(k))]
     return found
 
@@ -43,8 +43,9 @@ def digest(run: RunReader, at: int) -> str:
     state, found = run.state(at - 1), hashlib.sha256()
     with recorded_images(run) as images:
         for k in range(at, len(run)):
-            state, report, _ = step(run.header.params, run.header.calibration, images, state, run.packet(k))
-            found.update(pack({"report": report, "state": state}))
+            packet, header = run.packet(k), run.header
+            state, report, _ = step(header.params, header.calibration, images, state, packet, run.places)
+            found.update(pack({"report": report, **state_sections(state)}))
     return found.hexdigest()
 
 

@@ -273,6 +273,8 @@ _STAGE_OF = {
     "initialization": "initialization",
     "solve": "solve",
     "window": "solve",
+    "relocalizations": "loop",
+    "closure": "loop",
     "pose": "status",  # withdrawn when the estimator has failed; its numbers are those of the window
     "landmarks": "landmarks",
     "health": "health",

@@ -39,6 +39,7 @@ STAGES = (
     "health",
     "marginalization",
     "status",
+    "loop",
 )
 """The order in which a frame goes through them."""
 

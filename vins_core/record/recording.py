@@ -131,7 +131,7 @@ class RunWriter:
                 own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
             if state is not None and report.closure is not None and report.closure.keyframe is not None:
                 own["keyframe"] = _newest_keyframe(state)
-            payload, self._ledger = pack_series(own, {} if state is None else _shared(state), self._ledger)
+            payload, self._ledger = pack_series(own, {} if state is None else state_sections(state), self._ledger)
             block = self._frames.append(payload)
         self._index.append(pack({"block": block, "summary": summarize(report, timings)}))
 
@@ -432,7 +432,7 @@ class RunReader:
             raise RunError(f"cannot read {path}: {problem.strerror}") from None
 
 
-def _shared(state: RunState) -> dict[str, Any]:
+def state_sections(state: RunState) -> dict[str, Any]:
     """The sections of a state: what only grows is elsewhere (closures.py)."""
     if state.closure is None:
         return {"state": state}
