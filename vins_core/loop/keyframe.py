@@ -132,7 +132,7 @@ class Keyframes(Sequence[LoopKeyframe]):
             if n == len(self):
                 self._own.append(keyframe)
                 return self
-        fork = Keyframes(self[:n])
+        fork = Keyframes(_Beginning(self, n))
         fork._own.append(keyframe)
         return fork
 
@@ -147,3 +147,16 @@ class Keyframes(Sequence[LoopKeyframe]):
             if n >= len(self._index):
                 self._index = known
             return known
+
+
+class _Beginning(Sequence[LoopKeyframe]):
+    """The first n of others."""
+
+    def __init__(self, of: Sequence[LoopKeyframe], n: int) -> None:
+        self._of, self._n = of, n
+
+    def __len__(self) -> int:
+        return self._n
+
+    def __getitem__(self, k):
+        return self._of[: self._n][k] if isinstance(k, slice) else self._of[k]
