@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vins_core.report import CostSplit, FrameSummary, Status
+from vins_core.geometry import so3
+from vins_core.report import LOOP_OUTCOMES, CostSplit, FrameSummary, LoopOutcome, Status
 from vins_core.sensors import Trajectory
 
 
@@ -21,6 +22,33 @@ class Event:
     frame: int
     kind: str  # "anomaly" | "attempt" (initialisation failed) | "initialized" | "restart" | "degenerate"
     text: str  # one sentence
+
+
+VERIFIED = LOOP_OUTCOMES.index(LoopOutcome.FEW_MATCHES)
+"""From this outcome on an earlier keyframe was looked at in earnest."""
+
+
+@dataclass(frozen=True)
+class LoopSeries:
+    """(m,) arrays: one row per keyframe of the run that loop closing was asked about."""
+
+    frame: np.ndarray  # int, whose report tells of it
+    keyframe: np.ndarray  # int, its number over all sessions; -1 when it was left out
+    of: np.ndarray  # int, the frame that became it; -1 when it was left out
+    outcome: np.ndarray  # int, index into LOOP_OUTCOMES
+    match: np.ndarray  # int, the keyframe it closes a loop with; -1 for none
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def accepted(self) -> np.ndarray:
+        return self.match >= 0
+
+    @property
+    def candidate(self) -> np.ndarray:
+        """Retrieval proposed an earlier keyframe that looks alike."""
+        return self.outcome >= VERIFIED
 
 
 @dataclass(frozen=True)
@@ -48,6 +76,9 @@ class RunSeries:
     ate_m: np.ndarray  # RMSE of `error_m` up to this frame
     ms: dict[str, np.ndarray]  # milliseconds per stage (see report.Timings)
     yaw_leak: np.ndarray  # 1/rad^2, what the frame's new prior claims to know of yaw
+    drift: np.ndarray  # (n, 7) T_g_o by the pose graph: accurate, late
+    fast_drift: np.ndarray  # (n, 7) T_g_o by the newest loop: at once
+    loops: LoopSeries
     events: tuple[Event, ...]
 
     def __len__(self) -> int:
@@ -57,6 +88,20 @@ class RunSeries:
     def keyframes(self) -> np.ndarray:
         """(k,) frame numbers of the keyframes, increasing."""
         return np.flatnonzero(self.keyframe)
+
+    @property
+    def moved_m(self) -> np.ndarray:
+        """(n, 2) how far the two drift corrections, of the graph and of the newest loop, move the newest position."""
+        return np.stack([np.linalg.norm(p - self.p_w_b, axis=1) for p in self._corrected()], 1)
+
+    @property
+    def corrections_apart_m(self) -> np.ndarray:
+        """(n,) between the newest positions that the two drift corrections give."""
+        by_graph, by_loop = self._corrected()
+        return np.linalg.norm(by_graph - by_loop, axis=1)
+
+    def _corrected(self) -> list[np.ndarray]:
+        return [T[:, :3] + so3.rotate(T[:, 3:], self.p_w_b) for T in (self.drift, self.fast_drift)]
 
 
 def run_series(summaries: Sequence[FrameSummary], truth: Trajectory | None) -> RunSeries:
@@ -93,6 +138,9 @@ def run_series(summaries: Sequence[FrameSummary], truth: Trajectory | None) -> R
         ate_m=ate,
         ms={name: np.array([s.ms.get(name, np.nan) for s in summaries]) for name in stages},
         yaw_leak=np.array([np.nan if s.yaw_information is None else s.yaw_information for s in summaries], float),
+        drift=_stack([s.closure.drift if s.closure else None for s in summaries], 7),
+        fast_drift=_stack([s.closure.fast_drift if s.closure else None for s in summaries], 7),
+        loops=_loops(summaries),
         events=tuple(_events(summaries)),
     )
 
@@ -119,6 +167,21 @@ def _against_truth(t_ns: np.ndarray, p_w_b: np.ndarray, truth: Trajectory | None
     R, t = align_se3(p[both], p_w_b[both])
     p = np.where(inside[:, None], p @ R.T + t, np.nan)
     return p, np.linalg.norm(p - p_w_b, axis=1)
+
+
+def _loops(summaries: Sequence[FrameSummary]) -> LoopSeries:
+    rows = [
+        (
+            s.frame,
+            s.closure.keyframe.number if s.closure.keyframe else -1,
+            s.closure.keyframe.frame if s.closure.keyframe else -1,
+            LOOP_OUTCOMES.index(s.closure.outcome),
+            s.closure.match,
+        )
+        for s in summaries
+        if s.closure is not None and s.closure.outcome is not None
+    ]
+    return LoopSeries(*np.array(rows, int).reshape(-1, 5).T)
 
 
 def _costs(splits: list[CostSplit | None]) -> np.ndarray:

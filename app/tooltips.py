@@ -9,36 +9,13 @@ Sources: "seed 004.10" is section 10 of the founding document 004, "W4" a line o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from vins_core.params import DECLARATIONS, Declaration
 from vins_core.report import Gate, LossReason
 
-from .html import UNITS, Html, tag, text
-
-
-@dataclass(frozen=True)
-class Tip:
-    name: str
-    text: str
-    equation: str = ""
-    unit: str = ""
-    frame: str = ""
-    source: str = ""
-
-    def html(self) -> Html:
-        facts = (("unit", UNITS.get(self.unit, self.unit)), ("frame", self.frame), ("source", self.source))
-        known = [part for name, value in facts if value for part in (tag("dt", name), tag("dd", value))]
-        return text(
-            (
-                tag("b", self.name),
-                tag("div", self.text),
-                tag("code", self.equation) if self.equation else None,
-                tag("dl", *known) if known else None,
-            )
-        )
-
+from .loop_tips import LOOPS
+from .tip import Tip
 
 _PX = "px460"
 
@@ -604,14 +581,16 @@ TIPS: Mapping[str, Tip] = MappingProxyType(
         **_STAGES,
         **_WHAT_IF,
         **_PRIOR,
+        **LOOPS,
     }
 )
 
 
 def gate_tip(gate: Gate) -> str:
-    """Key of the tip that explains a gate: by the parameter behind it, or by its name; "" when there is none."""
-    key = f"gate.{gate.knob or gate.name}"
-    return key if key in TIPS else ""
+    """Key of the tip that explains a gate: of loop closing by its name, of others by the parameter behind it, or by its
+    name; "" when there is none."""
+    of_loops = f"gate.loop.{gate.name}" if gate.knob.startswith("loop.") else ""
+    return next((key for key in (of_loops, f"gate.{gate.knob or gate.name}") if key in TIPS), "")
 
 
 def parameter_tip(key: str) -> str:

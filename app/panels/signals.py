@@ -11,7 +11,7 @@ from vins_core import params as parameters
 
 from ..context import PanelContext, RunView
 from ..html import Html, brief, empty, key_cap, number, panel, tag, term, unit
-from ..palette import BAD, ESTIMATE, FORK, IMU, PRIOR
+from ..palette import BAD, ESTIMATE, FORK, IMU, OK, PRIOR
 from ..prior import FREE
 from ..series import RunSeries
 from ..style import FACTOR_COLOURS
@@ -55,6 +55,9 @@ SIGNALS = (
     Signal("b_a", "|b_a|", "b_a", IMU, lambda s: _norm(s.b_a), "m/s^2"),
     Signal("b_g", "|b_g|", "b_g", IMU, lambda s: _norm(s.b_g), "rad/s"),
     Signal("leak.yaw", "yaw leak", "prior.yaw", PRIOR, lambda s: s.yaw_leak, "1/rad²", least=FREE),
+    Signal("drift.graph", "graph drift", "drift.graph", OK, lambda s: 100 * s.moved_m[:, 0], "cm"),
+    Signal("drift.fast", "loop drift", "drift.fast", FORK, lambda s: 100 * s.moved_m[:, 1], "cm"),
+    Signal("drift.apart", "difference", "drift.apart", PLAIN, lambda s: 100 * s.corrections_apart_m, "cm"),
     Signal("speed", "speed", "speed", PLAIN, lambda s: _norm(s.v_w_b), "m/s"),
 )
 

@@ -13,7 +13,7 @@ from .. import views
 from ..context import PanelContext
 from ..html import Html, chip, empty, fixed, key_cap, muted, number, panel, row, strong, tag, term, text, unit
 from ..palette import BAD, CANDIDATE, ESTIMATE, IMU, LINE, OK, RAISED, TEXT
-from ..series import RunSeries
+from ..series import LoopSeries, RunSeries
 from ..style import FACTOR_COLOURS
 from ..widgets.plot import area, mark, nice_step, svg, ticks, top_of, x_of
 
@@ -77,6 +77,8 @@ def _lanes(series: RunSeries) -> list[Lane]:
         lanes.append(Lane("cost", "cost", 26, _costs(series, 26)))
     if len(series.keyframes):
         lanes.append(Lane("keyframes", "keyframe", 9, ticks(series.keyframes, n, 0, 9, ESTIMATE)))
+    if series.loops.candidate.any():
+        lanes.append(Lane("loops", "loops", 15, _loops(series.loops, n)))
     for name, tip, kinds in (
         ("init", "attempts", ("attempt", "initialized", "restart")),
         ("motion", "motion", ("degenerate",)),
@@ -91,6 +93,12 @@ def _lanes(series: RunSeries) -> list[Lane]:
             lanes.append(Lane(name, tip, 9, text(marks)))
     lanes.append(Lane("status", "status", 6, _bands(series, 6)))
     return lanes
+
+
+def _loops(loops: LoopSeries, n: int) -> Html:
+    """Accepted ones above, below them candidates that were refused."""
+    refused = loops.candidate & ~loops.accepted
+    return text((ticks(loops.frame[loops.accepted], n, 0, 7, OK, 1.6), ticks(loops.frame[refused], n, 8, 15, BAD, 1.6)))
 
 
 _EVENT_COLOURS = {"attempt": BAD, "initialized": OK, "restart": "#FFFFFF", "anomaly": TEXT, "degenerate": IMU}
@@ -177,10 +185,11 @@ def render(ctx: PanelContext) -> str:
         chips.append(chip(where, anomaly.kind.replace("_", " "), tone="bad", title=anomaly.message))
     if ctx.progress:
         chips.append(chip(ctx.progress, tone="imu"))
+    keys = (*_KEYS[:-1], ("N", "loop"), _KEYS[-1]) if series.loops.candidate.any() else _KEYS
     hints = tag(
         "span",
         strong("playing" if ctx.playing else "paused"),
-        *(part for cap, does in _KEYS for part in (" ", key_cap(cap), f" {does}")),
+        *(part for cap, does in keys for part in (" ", key_cap(cap), f" {does}")),
         cls="vi-keys",
     )
     return panel(KEY, row(*chips, hints))

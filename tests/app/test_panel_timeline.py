@@ -6,7 +6,8 @@ import itertools
 from fake_reports import FIRST_SOLVE, context, lost_again, parse, run_with
 
 from app.panels import timeline
-from vins_core.report import Status
+from vins_core.geometry.poses import IDENTITY
+from vins_core.report import ClosureReport, LoopOutcome, LoopReport, Status
 
 
 def lanes(run=None, frame=30):
@@ -21,6 +22,13 @@ def test_lanes_are_those_in_which_something_happened():
     assert lanes().one(cls="vi-lane").attributes["data-lanes"] == "cost keyframes init anomalies status"
     calm = run_with(dataclasses.replace(context(25).report, anomalies=()))
     assert lanes(calm).one(cls="vi-lane").attributes["data-lanes"] == "cost keyframes init status"
+
+
+def test_loops_have_a_lane_where_candidates_were_looked_at():
+    said = ClosureReport(None, LoopReport(4, 29, 0, 9, 9, None, (), (), LoopOutcome.PNP), (), None, IDENTITY, IDENTITY)
+    run = run_with(dataclasses.replace(context(30).report, closure=said))
+    assert "loops" in lanes(run).one(cls="vi-lane").attributes["data-lanes"]
+    assert "N loop" in parse(timeline.render(context(30, run=run))).text
 
 
 def test_events_say_what_happened():

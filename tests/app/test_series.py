@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fake_run import FIRST_SOLVE, FRAMES, FakeRun, fake_run
 
 from app.series import align_se3, run_series
-from vins_core.geometry import so3
+from vins_core.geometry import poses, so3
+from vins_core.report import ClosureSummary, FrameSummary, KeyframeEntry, LoopOutcome
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +59,31 @@ def test_a_run_without_truth_or_frames_has_series_too(run: FakeRun) -> None:
 def test_events_name_failed_attempts_the_success_and_anomalies(run: FakeRun) -> None:
     events = [(e.frame, e.kind) for e in run_series(run.summaries, None).events]
     assert events == [(10, "attempt"), (11, "attempt"), (FIRST_SOLVE, "initialized"), (25, "anomaly")]
+
+
+def closing(run: FakeRun, said: dict[int, ClosureSummary]) -> list[FrameSummary]:
+    return [replace(s, closure=said.get(s.frame)) for s in run.summaries]
+
+
+def test_corrections_are_measured_where_the_newest_frame_is(run: FakeRun) -> None:
+    quarter = np.concatenate([[0, 0, 0], so3.exp(np.array([0, 0, np.pi / 2]))])
+    lifted = np.array([0, 0, 0.3, 1, 0, 0, 0])
+    said = ClosureSummary(None, None, -1, (), False, quarter, lifted)
+    series = run_series(closing(run, {30: said}), run.truth)
+    x, y, _ = series.p_w_b[30]
+    assert series.moved_m[30] == pytest.approx([np.sqrt(2) * np.hypot(x, y), 0.3])
+    assert series.corrections_apart_m[30] == pytest.approx(np.sqrt(2 * (x * x + y * y) + 0.09))
+    assert np.isnan(series.moved_m[29]).all()
+
+
+def test_a_keyframe_that_retrieval_proposed_nothing_for_is_no_candidate(run: FakeRun) -> None:
+    entry = KeyframeEntry(4, 0, 29, 0, poses.IDENTITY)
+
+    def said(outcome: LoopOutcome, match: int = -1) -> ClosureSummary:
+        return ClosureSummary(entry, outcome, match, (), False, poses.IDENTITY)
+
+    outcomes = {30: said(LoopOutcome.NOT_SIMILAR), 31: said(LoopOutcome.PNP), 32: said(LoopOutcome.ACCEPTED, 1)}
+    loops = run_series(closing(run, outcomes), run.truth).loops
+    assert loops.frame.tolist() == [30, 31, 32] and loops.of.tolist() == [29] * 3
+    assert loops.candidate.tolist() == [False, True, True]
+    assert loops.accepted.tolist() == [False, False, True]
