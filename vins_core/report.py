@@ -571,6 +571,7 @@ class ClosureSummary:
     optimized: bool
     drift: np.ndarray  # (7,) by the graph
     fast_drift: np.ndarray | None = None  # (7,) by the newest loop
+    n_candidates: int = 0  # earlier keyframes that were looked at
 
 
 @dataclass(frozen=True)
@@ -642,4 +643,5 @@ def _summarize_closure(report: ClosureReport) -> ClosureSummary:
         optimized=report.graph is not None,
         drift=report.drift,
         fast_drift=report.fast_drift,
+        n_candidates=len(loop.candidates) if loop else 0,
     )

@@ -1,0 +1,383 @@
+"""The loops of a run, looked into on demand: every gate of every keyframe, any pair, other settings (SPEC 7.2, 9.3).
+
+On-line a keyframe costs the gates up to its decision; here the others follow from stored descriptors, purely, and
+are kept.  `advance` does so bit by bit, a few milliseconds to 30 a keyframe, for a thread in the background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from .. import params as parameters
+from ..errors import RunError
+from ..loop import rejudge
+from ..loop.keyframe import Keyframes
+from ..loop.step import LoopState, Retrieved, detect_again, examine, retrieve
+from ..loop.verify import Pair, verify
+from ..params import DECLARATIONS, Loop, Params
+from ..record.recent import Recent
+from ..record.recording import RunReader
+from ..report import Gate, LoopCandidate, LoopOutcome, LoopReport
+from . import counterfactual
+from .counterfactual import UNANSWERED, VALUES, Judged, Prediction, Remedy, judge_run
+from .funnel import FunnelStage, funnel
+from .truth import Truth, revisited, true_poses, truth_of
+
+KEEP_REPORTS = 64
+KEEP_VARIANTS = 4
+REPORT_BYTES = 200_000
+
+
+@dataclass(frozen=True)
+class LoopRow:
+    """A keyframe that was offered to the loop stage, in short."""
+
+    number: int  # counted over all sessions of the map; -1 for one that was left out
+    frame: int
+    made_in: int  # the frame whose step made the keyframe, and looked for its loops
+    t_ns: int
+    outcome: LoopOutcome
+    match: int  # the keyframe that it closes a loop with, -1 for none
+    n_candidates: int
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What judging a keyframe again needs to know of it."""
+
+    frame: int
+    t_ns: int
+    n_landmarks: int
+    n_points: int
+    T_w_b: np.ndarray
+    odometry: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class Shortlist:
+    """The best candidates of a keyframe, as long as `loop.min_gap` is what it was."""
+
+    wanted: int  # how many were asked for
+    own: tuple[Gate, ...]
+    neighbour_score: float | None
+    found: tuple[Retrieved, ...]
+
+
+class LoopStudy:
+    """Of one run; follows it while it grows.  Safe to use from several threads.
+
+    Keyframes are numbered over all sessions of the map, as in every report.
+    """
+
+    def __init__(self, run: RunReader) -> None:
+        """Raises RunError when the run has no loops, MapError when the map that it began with is damaged."""
+        if run.places is None:
+            raise RunError(f"{run.path} has no loops: it was made with --loops off")
+        self.run = run
+        self.first = len(run.places.keyframes)
+        """The first keyframe of the run itself; those before are of the map that it began with."""
+        self._places = run.places
+        self._lock = Lock()
+        self._rows: list[LoopRow] = []
+        self._own: list[LoopRow] = []  # those that were not left out
+        self._frames_read = 0
+        self._truth = np.zeros((0, 7))
+        self._revisits: list[bool] = []
+        self._facts: dict[int, Facts] = {}
+        self._shortlists: dict[tuple[int, int], Shortlist] = {}
+        self._evidence: dict[tuple[Any, ...], dict[tuple[int, int], LoopCandidate]] = {}
+        self._variants: dict[Any, dict[int, LoopReport]] = {}
+        self._reports = Recent(self._examine_all, KEEP_REPORTS)
+
+    def rows(self) -> tuple[LoopRow, ...]:
+        """One per keyframe offered, from summaries alone."""
+        with self._lock:
+            self._follow()
+            return tuple(self._rows)
+
+    def report(self, keyframe: int, params: Params | None = None) -> LoopReport:
+        """`detect(..., evaluate_all=True)` as of keyframe `keyframe`, by default with its own parameters.
+
+        What was accepted before it counts as it was.  Raises IndexError for a keyframe that is not of this run.
+        """
+        row = self._row(keyframe)
+        return self._reports((keyframe, (params or self._params(row)).loop))
+
+    def pair(self, query: int, match: int, params: Params | None = None) -> LoopReport:
+        """Every gate of any two keyframes, whether retrieval proposed them or not.
+
+        Raises IndexError unless match < query, and query is of this run.
+        """
+        return examine((params or self._params(self._row(query))).loop, self._state(), query, match)
+
+    def truth(self, query: int, match: int) -> Truth | None:
+        """How two keyframes truly lie to each other; None without ground truth, and for those of an earlier map."""
+        known = self._true_poses()
+        return truth_of(known, query, match) if max(query, match) < len(known) else None
+
+    def revisits(self) -> frozenset[int] | None:
+        """Keyframes that truly revisit a place: within 1 m and 30 degrees of one more than `loop.min_gap` before."""
+        if self.run.truth is None:
+            return None
+        known = self._true_poses()
+        with self._lock:
+            while len(self._revisits) < len(known):
+                k = len(self._revisits)
+                gap = self._params(self._own[k - self.first]).loop.min_gap if k >= self.first else 0
+                self._revisits.append(k >= self.first and revisited(known, k, gap))
+            return frozenset(np.flatnonzero(self._revisits).tolist())
+
+    def advance(self, n: int = 1) -> int:
+        """Look into the next `n` keyframes that nobody has looked into; returns how many are left."""
+        self.rows()
+        missing = [row for row in self._own if row.number not in self._variant(self._params(row).loop)]
+        for row in missing[:n]:
+            self._judgeable(self._params(row).loop, row)
+        return len(missing) - min(n, len(missing))
+
+    def funnel(self) -> tuple[FunnelStage, ...]:
+        """Of what the run accepted, over the keyframes that `advance` has come to."""
+        return funnel(self._recorded(), self.truth, self.revisits())
+
+    def predict(
+        self,
+        changes: Mapping[str, Any],
+        at: int = 0,
+        progress: Callable[[float], None] = lambda _: None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Prediction | None:
+        """What `changes` (`section.name -> value`) from frame `at` on would have accepted; None when cancelled.
+
+        At slider speed for limits once `advance` is done; else what is missing is computed.  Raises ParameterError.
+        """
+        self.rows()
+        rows = list(self._own)
+        if not self._prepare(rows, {}, at, progress, cancelled):
+            return None
+        answered, unanswered = _answerable(changes)
+        if not self._prepare(rows, answered, at, progress, cancelled):
+            return None
+        before, after = self._judge(rows, {}, at), self._judge(rows, answered, at)
+        first = next((row for row, a, b in zip(rows, before, after) if counterfactual.differs(a, b)), None)
+        was, would = (counterfactual.pairs(reports, self.truth) for reports in (before, after))
+        feedback = any(self._params(row).loop.relocalize for row in rows)
+        exact_until = rows[-1].number if rows else -1
+        if unanswered:
+            exact_until = next((row.number - 1 for row in rows if row.made_in >= at), exact_until)
+        elif feedback and first:
+            exact_until = first.number
+        return Prediction(
+            dict(changes),
+            would,
+            tuple(p for p in would if p not in was),
+            tuple(p for p in was if p not in would),
+            first.number if first else None,
+            first.made_in if first else None,
+            exact_until,
+            unanswered,
+            funnel(after, self.truth, self.revisits()),
+            after,
+        )
+
+    def smallest_change(
+        self,
+        query: int,
+        match: int,
+        progress: Callable[[float], None] = lambda _: None,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> Remedy | None:
+        """The smallest joint change of limits that accepts a loop; None when no limits do, or when cancelled.
+
+        Raises IndexError as `pair`.
+        """
+        found = self.pair(query, match)
+        judged = (*found.gates, *found.candidates[0].gates)
+        changes = rejudge.smallest_change(judged)
+        if changes is None:
+            return None
+        changes = {key: _outward(key, value, judged) for key, value in changes.items()}
+        predicted = self.predict(changes, progress=progress, cancelled=cancelled)
+        if predicted is None:
+            return None
+        accepts = any((p.query, p.match) == (query, match) for p in predicted.accepted)
+        return Remedy(query, match, changes, accepts, predicted)
+
+    def _follow(self) -> None:
+        """Rows of the frames that are new."""
+        summaries = self.run.summaries
+        for s in summaries[self._frames_read : (end := len(summaries))]:
+            said = s.closure
+            if said is None or said.outcome is None:
+                continue
+            entry = said.keyframe
+            of = summaries[s.frame - 1] if entry is None else entry  # it is the frame before that was left out
+            number = -1 if entry is None else entry.number
+            row = LoopRow(number, of.frame, s.frame, of.t_ns, said.outcome, said.match, said.n_candidates)
+            self._rows.append(row)
+            if entry is not None:
+                self._own.append(row)
+        self._frames_read = end
+
+    def _row(self, keyframe: int) -> LoopRow:
+        self.rows()
+        if not self.first <= keyframe < self.first + len(self._own):
+            raise IndexError(f"{self.run.path} has no keyframe {keyframe}: its own are {self.first} and following")
+        return self._own[keyframe - self.first]
+
+    def _params(self, row: LoopRow) -> Params:
+        return self.run.header.params_at(row.made_in)
+
+    def _keyframes(self) -> Keyframes:
+        return self.run.keyframes
+
+    def _state(self) -> LoopState:
+        keyframes = self._keyframes()
+        return LoopState(keyframes, self._places.vocabulary.limits, len(keyframes))
+
+    def _examine_all(self, key: tuple[int, Loop]) -> tuple[LoopReport, int]:
+        keyframe, loop = key
+        return detect_again(loop, self._state(), keyframe), REPORT_BYTES
+
+    def _true_poses(self) -> np.ndarray:
+        """(n, 7); NaN for the keyframes of an earlier map, whose clock may be another one."""
+        with self._lock:
+            self._follow()
+            n = self.first + len(self._own)
+            if len(self._truth) < n:
+                t_ns = np.array([row.t_ns for row in self._own], np.int64)
+                self._truth = np.concatenate([np.full((self.first, 7), np.nan), true_poses(self.run.truth, t_ns)])
+            return self._truth
+
+    def _changed(self, row: LoopRow, changes: Mapping[str, Any], at: int) -> Loop:
+        params = self._params(row)
+        return parameters.replace(params, changes).loop if row.made_in >= at else params.loop
+
+    def _prepare(
+        self,
+        rows: list[LoopRow],
+        changes: Mapping[str, Any],
+        at: int,
+        progress: Callable[[float], None],
+        cancelled: Callable[[], bool],
+    ) -> bool:
+        """See to it that every keyframe can be judged with `changes`; False when cancelled."""
+        for i, row in enumerate(rows):
+            loop = self._changed(row, changes, at)
+            if row.number not in self._variant(loop):
+                progress(i / len(rows))
+                if cancelled():
+                    return False
+                self._judgeable(loop, row)
+        return True
+
+    def _judge(self, rows: list[LoopRow], changes: Mapping[str, Any], at: int) -> Judged:
+        settings = (self._changed(row, changes, at) for row in rows)
+        given = ((loop, self._judgeable(loop, row)) for loop, row in zip(settings, rows))
+        return tuple(judge_run(given, self._places.vocabulary.limits, self._places.keyframes))
+
+    def _recorded(self) -> Iterator[LoopReport]:
+        """The keyframes so far that `advance` has come to, judged as they were."""
+        self.rows()
+        known = []
+        for row in self._own:
+            if row.number not in self._variant(self._params(row).loop):
+                break
+            known.append(row)
+        return iter(self._judge(known, {}, 0))
+
+    def _variant(self, loop: Loop) -> dict[int, LoopReport]:
+        """Reports that can be judged with any limits, as far as they depend on parameters."""
+        key = (_values(loop), loop.min_gap, loop.candidates)
+        with self._lock:
+            self._variants[key] = self._variants.pop(key, {})  # the newest comes last
+            while len(self._variants) > KEEP_VARIANTS:
+                del self._variants[next(iter(self._variants))]
+            return self._variants[key]
+
+    def _judgeable(self, loop: Loop, row: LoopRow) -> LoopReport:
+        """A report with all gates of all candidates but those of consistency, and without matches."""
+        variant, k = self._variant(loop), row.number
+        if k not in variant:
+            short, facts = self._shortlist(loop, k), self._facts[k]
+            found = short.found[: loop.candidates]
+            evidence = self._verified(loop, k, [r.match for r in found])
+            candidates = tuple(replace(e, score=r.score, gates=r.gates + e.gates) for r, e in zip(found, evidence))
+            variant[k] = LoopReport(
+                k,
+                facts.frame,
+                facts.t_ns,
+                facts.n_landmarks,
+                facts.n_points,
+                short.neighbour_score,
+                short.own,
+                candidates,
+                LoopOutcome.TOO_RECENT,
+                facts.T_w_b,
+                facts.odometry,
+            )
+        return variant[k]
+
+    def _shortlist(self, loop: Loop, k: int) -> Shortlist:
+        key = (k, loop.min_gap)
+        known = self._shortlists.get(key)
+        if known is None or known.wanted < loop.candidates:
+            state = self._state()
+            keyframe = state.keyframes[k]
+            scores = state.index.scores(keyframe.bag)[:k]
+            own, found = retrieve(replace(loop, order="best"), state.limits, keyframe.n_landmarks, scores)
+            known = Shortlist(loop.candidates, own, float(scores[-1]) if k else None, found)
+            self._facts[k] = Facts(
+                keyframe.frame,
+                keyframe.t_ns,
+                keyframe.n_landmarks,
+                len(keyframe.uv_px),
+                keyframe.T_w_b,
+                keyframe.odometry,
+            )
+            self._shortlists[key] = known
+        return known
+
+    def _verified(self, loop: Loop, query: int, matches: list[int]) -> list[LoopCandidate]:
+        known = self._evidence.setdefault(_values(loop), {})
+        missing = [m for m in matches if (query, m) not in known]
+        if missing:
+            keyframes = self._keyframes()
+            later = keyframes[query]
+            for m in missing:
+                found = verify(loop, Pair(query, m, later, keyframes[m], 0.0, ()), evaluate_all=True)
+                known[query, m] = replace(found, matches=None)
+        return [known[query, m] for m in matches]
+
+
+def _values(loop: Loop) -> tuple[Any, ...]:
+    return tuple(getattr(loop, f.name) for f in fields(loop) if f.name in VALUES)
+
+
+def _answerable(changes: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Changes that the study answers, and parameters that it cannot.  The pose graph decides nothing about loops."""
+    parameters.replace(Params(), changes)
+    unanswered = []
+    for key in changes:
+        section, name = key.split(".")
+        if section != "pose_graph" and (section != "loop" or name in UNANSWERED):
+            unanswered.append(key)
+    return {key: value for key, value in changes.items() if key not in unanswered}, tuple(unanswered)
+
+
+def _outward(key: str, value: Any, judged: tuple[Gate, ...]) -> Any:
+    """A limit with three digits that lets the same values pass."""
+    declared = DECLARATIONS[key]
+    if declared.type is not float or not value:
+        return value
+    digits = 2 - int(np.floor(np.log10(abs(value))))
+    step = 10.0**-digits
+    lower = next(g.op for g in judged if g.knob == key).startswith(">")
+    rounded = round(float((np.floor if lower else np.ceil)(value / step)) * step, max(digits, 0))
+    passes = rounded <= value if lower else rounded >= value
+    assert declared.low is not None and declared.high is not None
+    return rounded if passes and declared.low <= rounded <= declared.high else value
