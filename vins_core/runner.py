@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from . import params as parameters
+from .io import modes
 from .io.calibration import read_calibration
 from .io.params_yaml import read_params
 from .io.recording import Recording, open_recording
@@ -64,12 +65,13 @@ def run_recording(
     with open_recording(recording) as source:
         given = read_calibration(calib, source)
         params, origins = choose_parameters(given.overrides, assignments, from_file)
-        arriving = packets(source, given.calibration, params, start_s, duration_s)
+        calibration, unused = modes.prepare(given.calibration)
+        arriving = packets(source, calibration, params, start_s, duration_s)
         first = next(arriving)  # what is wrong with the recording is told before a folder is made
         places = _places(params, given.calibration.cameras[0], source, vocabulary, brief_pattern, map_folder)
         header = RunHeader(
             params,
-            given.calibration,
+            calibration,
             origins=origins,
             recording=str(Path(recording).resolve()),
             recording_kind=source.kind,
@@ -79,7 +81,7 @@ def run_recording(
             expected_frames=_expect_frames(source, params, start_s, duration_s),
             backend=chosen.name,
             embedded_images=embed_images,
-            notes=given.notes,
+            notes=(*given.notes, *unused),
         )
         with backends.using(chosen), RunWriter(out, header, source.truth(), source, places) as writer:
             arriving = itertools.chain([first], arriving)

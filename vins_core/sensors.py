@@ -1,13 +1,13 @@
 """What sensors deliver and how they are calibrated: plain values that every other file speaks in.
 
-Frames: `w` world (gravity along -z), `b` body = IMU, `c0` camera.  `T_b_c` maps camera to body coordinates.
+Frames: `w` world (gravity along -z), `b` body = IMU, `c0`, `c1` cameras.  `T_b_c` maps camera to body coordinates.
 Times are integer nanoseconds of the recording's own clock; a camera's `td_s` satisfies t_imu = t_image + td.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -52,13 +52,23 @@ class ImageRef:
 
 
 @dataclass(frozen=True)
+class DepthRef:
+    """A depth image by reference."""
+
+    t_ns: int
+    camera: int  # whose pixels it is registered to
+    index: int  # running number in the recording
+    locator: int = 0  # as of an ImageRef
+
+
+@dataclass(frozen=True)
 class GpsFix:
     t_ns: int
     latitude_deg: float
     longitude_deg: float
-    altitude_m: float
-    covariance_enu_m2: np.ndarray  # (3, 3)
-    status: int  # sensor_msgs/NavSatStatus
+    altitude_m: float  # above the WGS 84 ellipsoid
+    covariance_enu_m2: np.ndarray  # (3, 3) east, north, up; zeros where the receiver says nothing
+    status: int  # sensor_msgs/NavSatStatus: -1 no fix, 0 fix, 1 with satellite augmentation, 2 with ground stations
 
 
 @dataclass(frozen=True)
@@ -101,13 +111,35 @@ class ImuNoise:
     gap_gyr: float = 0.0  # rad/s
 
 
+NO_IMU = ImuNoise("discrete", 0.0, 0.0, 0.0, 0.0)
+"""The noise of a calibration without IMU: no real one is zero."""
+
+
+@dataclass(frozen=True)
+class DepthCalibration:
+    """A depth camera whose images are registered to the pixels of the camera that this belongs to."""
+
+    topic: str = ""  # empty: the recording's only depth topic
+    scale_m: float = 1e-3  # metres per unit of an integer image (16UC1); 32FC1 is in metres
+    min_m: float = 0.0  # nearer or
+    max_m: float = 1e3  # farther depths are not used
+    tolerance_s: float = 0.02  # largest difference between the stamps of image and depth
+
+
+ExtrinsicKnowledge = Literal["fixed", "refine", "unknown"]
+"""How far T_b_c is to be believed: as given, as a start, or not at all (VINS' estimate_extrinsic 0, 1, 2)."""
+
+
 @dataclass(frozen=True)
 class CameraCalibration:
     name: str  # "cam0"
     model: CameraModel
-    T_b_c: np.ndarray  # (4, 4)
+    T_b_c: np.ndarray  # (4, 4); the identity where the extrinsics are unknown
     topic: str = ""
     mask: str = ""  # path of a fisheye mask image, white = usable
+    td_s: float | None = None  # of this camera alone; None: that of the calibration
+    readout_s: float = 0.0  # rolling shutter: row v of `height` is exposed readout_s v / height after t_image + td
+    depth: DepthCalibration | None = None
 
 
 @dataclass(frozen=True)
@@ -120,24 +152,54 @@ class Calibration:
     td_s: float = 0.0  # t_imu = t_image + td; zero only where the file says so or the format has no such key
     imu_topic: str = ""
     sources: tuple[str, ...] = field(default=())  # the files this was read from
+    has_imu: bool = True  # False: cameras alone; then noise is NO_IMU and body coordinates are what T_b_c says
+    estimate_td: bool = False  # the file asks for td to be estimated from the given value on
+    extrinsics: ExtrinsicKnowledge = "fixed"
+    gps_topic: str = ""  # empty: the recording's only one, if any
+    p_b_gps: tuple[float, float, float] | None = None  # the antenna in body coordinates in m; None: not known
+
+    def td_of(self, camera: int) -> float:
+        """t_imu = t_image + td for images of one camera, s."""
+        own = self.cameras[camera].td_s
+        return self.td_s if own is None else own
 
 
 @dataclass(frozen=True)
 class Packet:
-    """All that arrived for one frame: the images since the previous frame (the last one is the frame) and the IMU.
+    """All that arrived for one frame: images since the previous frame (the last one is the frame), IMU, GPS, depth.
 
     `imu` covers [t_previous + td, t_frame + td]: both ends are there, interpolated when no sample falls on them, so
     the last sample of one packet equals the first of the next.  For the first packet it covers what came before.
+    With two cameras each image of camera 0 is followed by the one that camera 1 took with it, if there is one.
     """
 
     frame: int
     images: tuple[ImageRef, ...]
     imu: ImuSamples
     anomalies: tuple[Anomaly, ...] = ()
+    gps: tuple[GpsFix, ...] = ()  # stamped up to t_frame + td and not in an earlier packet
+    depths: tuple[DepthRef | None, ...] = ()  # one for each image of camera 0; empty without a depth camera
+
+    @property
+    def image(self) -> ImageRef:
+        """The frame itself: the newest image of camera 0."""
+        return next(ref for ref in reversed(self.images) if ref.camera == 0)
 
     @property
     def t_ns(self) -> int:
-        return self.images[-1].t_ns
+        return self.image.t_ns
+
+    @property
+    def pairs(self) -> tuple[tuple[ImageRef, ImageRef | None], ...]:
+        """Images of camera 0, oldest first, each with that of camera 1, or None where it is missing."""
+        follower = dict(zip(self.images, self.images[1:]))
+        partners = ((left, follower.get(left)) for left in self.images if left.camera == 0)
+        return tuple((left, right if right is not None and right.camera == 1 else None) for left, right in partners)
+
+    @property
+    def depth(self) -> DepthRef | None:
+        """The depth image of the frame, None where it is missing."""
+        return self.depths[-1] if self.depths else None
 
 
 class ImageSource(Protocol):

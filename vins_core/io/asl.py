@@ -35,6 +35,7 @@ class AslRecording(Recording):
     """
 
     kind = "asl"
+    numbered = True
 
     def __init__(self, path: Path, root: Path, topics: TopicChoice | Calibration | None = None) -> None:
         super().__init__(path, topics)
@@ -48,7 +49,7 @@ class AslRecording(Recording):
                 continue
             topic = _topic(folder, role)
             self._folders[topic] = folder
-            if role == "image":
+            if role in ("image", "depth"):
                 self._images[topic] = _image_list(folder)
                 stamps = [t for t, _ in self._images[topic]]
             else:
@@ -61,16 +62,13 @@ class AslRecording(Recording):
         """The sensor's folder, where its sensor.yaml is."""
         return self._folders[topic]
 
-    def candidates(self, role: Role) -> tuple[Stream, ...]:
-        """The layout numbers its sensors, so the first is meant: cam0, imu0."""
-        return self.of_role(role)[:1]
-
     def scan(self, topics: Collection[str]) -> Iterator[Item]:
         readers: dict[Role, Callable[[str], Iterator[Item]]] = {
             "imu": self._imu,
             "gps": self._gps,
             "truth": lambda topic: read_euroc_truth(self._folders[topic] / "data.csv", topic),
             "image": self._stubs,
+            "depth": self._stubs,
         }
         return heapq.merge(*(readers[self.stream(t).role](t) for t in sorted(topics)), key=time_order)
 
@@ -130,6 +128,7 @@ def _role(name: str) -> Role:
         "cam": "image",
         "imu": "imu",
         "gps": "gps",
+        "depth": "depth",
         "state_groundtruth": "truth",
         "mocap": "truth",
     }
@@ -141,7 +140,7 @@ def _topic(folder: Path, role: Role) -> str:
         topic = read_yaml(folder / "sensor.yaml").get("topic")
         if isinstance(topic, str) and topic:
             return topic
-    return f"/{folder.name}/image_raw" if role == "image" else f"/{folder.name}"
+    return f"/{folder.name}/image_raw" if role in ("image", "depth") else f"/{folder.name}"
 
 
 def _image_list(folder: Path) -> list[tuple[int, str]]:
@@ -149,7 +148,8 @@ def _image_list(folder: Path) -> list[tuple[int, str]]:
     table = folder / "data.csv"
     if not table.exists():
         files = sorted(p.name for p in (folder / "data").glob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
-        return sorted((int(Path(name).stem), name) for name in files if Path(name).stem.isdigit())
+        stamps = ((_stamp_ns(Path(name).stem), name) for name in files)
+        return sorted((t_ns, name) for t_ns, name in stamps if t_ns is not None)
     found = []
     for number, t_ns, cells in _rows(table):
         name = cells[0].strip() if cells else ""
@@ -157,6 +157,14 @@ def _image_list(folder: Path) -> list[tuple[int, str]]:
             raise RecordingError(f"{table}, line {number}: expected the name of a file in data/, found {name!r}")
         found.append((t_ns, name))
     return found
+
+
+def _stamp_ns(stem: str) -> int | None:
+    """A file's stamp by its name: nanoseconds (EuRoC), or seconds with decimals (TUM)."""
+    seconds, point, decimals = stem.partition(".")
+    if not seconds.isdigit() or (point and not decimals.isdigit()):
+        return None
+    return int(seconds) * 10**9 + int(decimals.ljust(9, "0")[:9]) if point else int(seconds)
 
 
 def _rows(path: Path) -> Iterator[tuple[int, int, list[str]]]:

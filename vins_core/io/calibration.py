@@ -14,13 +14,15 @@ from typing import Any
 
 from ..errors import CalibrationError
 from ..sensors import Calibration
-from . import euroc_yaml, kalibr_yaml, own_yaml, vins_yaml
+from . import euroc_yaml, kalibr_yaml, openvins_yaml, own_yaml, vins_yaml
 from .asl import AslRecording
+from .kitti import KittiRecording
 from .recording import Recording
 from .yaml_file import Keys, read_yaml
 
 FORMATS = (
-    "a VINS-Mono or VINS-Fusion config, Kalibr's camchain and imu files, EuRoC sensor.yaml files or vinspect's own"
+    "a VINS-Mono or VINS-Fusion config, OpenVINS' estimator_config.yaml, Kalibr's camchain and imu files, "
+    "EuRoC sensor.yaml files or vinspect's own"
 )
 
 
@@ -47,6 +49,8 @@ def read_calibration(paths: Sequence[Path | str], recording: Recording | None = 
         settings = Settings(*own_yaml.read(files[0]))
     elif len(files) == 1 and vins_yaml.recognizes(files[0]):
         settings = Settings(*vins_yaml.read(files[0]))
+    elif len(files) == 1 and openvins_yaml.recognizes(files[0]):
+        settings = Settings(*openvins_yaml.read(files[0]))
     elif any(kalibr_yaml.recognizes(f) for f in files):
         settings = Settings(*kalibr_yaml.read(files))
     elif all(euroc_yaml.recognizes(f) for f in files):
@@ -62,33 +66,66 @@ def read_calibration(paths: Sequence[Path | str], recording: Recording | None = 
 
 
 def _from_recording(recording: Recording | None) -> Settings:
+    if isinstance(recording, KittiRecording):
+        return Settings(recording.calibration())
     if not isinstance(recording, AslRecording):
         where = f"{recording.path}: " if recording else ""
         raise CalibrationError(f"{where}a calibration is needed for this recording; give {FORMATS} with --calib")
-    folders = [recording.folder(topic) for topic in (recording.image_topics[0], recording.imu_topic)]
+    cameras, imu = recording.of_role("image"), recording.imu_topic
+    folders = [recording.folder(topic) for topic in (recording.image_topics[0], imu)]
     missing = [str(folder / "sensor.yaml") for folder in folders if not (folder / "sensor.yaml").exists()]
     if missing:
         raise CalibrationError(f"{' and '.join(missing)}: missing, so this folder has no calibration; give --calib")
-    files = [Keys(folder / "sensor.yaml", read_yaml(folder / "sensor.yaml")) for folder in folders]
-    settings = Settings(*euroc_yaml.read(files))
-    unused = [s.topic for s in recording.of_role("image")[1:]]
-    notes = [f"{', '.join(unused)} not used: one camera is supported so far"] if unused else []
+    others = [recording.folder(s.topic) / "sensor.yaml" for s in cameras[1:]]
+    second = [path for path in others[:1] if path.exists() and euroc_yaml.describes_camera(read_yaml(path))]
+    paths = [folders[0] / "sensor.yaml", *second, folders[1] / "sensor.yaml"]
+    settings = Settings(*euroc_yaml.read([Keys(path, read_yaml(path)) for path in paths]))
+    unused = [s.topic for s in cameras[1 + len(second) :]]
+    notes = [f"{', '.join(unused)} not used: there is no calibration of it in its folder"] if unused else []
     return dataclasses.replace(settings, notes=(*settings.notes, *notes))
 
 
 def _with_topics(settings: Settings, recording: Recording) -> Settings:
-    """The topics in use, by the files' names or else the recording's only ones."""
-    calibration = settings.calibration
+    """The topics in use, by the files' names or else the recording's only ones.
+
+    What only some modes need is left out with a note when the recording does not have it.
+    """
+    calibration, absent = _present(settings.calibration, recording)
     recording.use(calibration)
     cameras = tuple(
         dataclasses.replace(camera, topic=topic) for camera, topic in zip(calibration.cameras, recording.image_topics)
     )
-    calibration = dataclasses.replace(calibration, cameras=cameras, imu_topic=recording.imu_topic)
+    imu_topic = recording.imu_topic if calibration.has_imu else ""
+    calibration = dataclasses.replace(calibration, cameras=cameras, imu_topic=imu_topic)
     recording.use(calibration)
-    notes = list(settings.notes)
+    notes = [*settings.notes, *absent]
     if recording.truth_topic is None and len(recording.candidates("truth")) > 1:
         topics = ", ".join(s.topic for s in recording.candidates("truth"))
         notes.append(
             f"several topics could be the ground truth ({topics}), so none is used; `eval --truth` takes a file"
         )
     return dataclasses.replace(settings, calibration=calibration, notes=tuple(notes))
+
+
+def _present(calibration: Calibration, recording: Recording) -> tuple[Calibration, list[str]]:
+    """The calibration without the second camera, depth and GPS that the recording does not have, and why."""
+    notes = []
+    first, *others = calibration.cameras
+    kept = [first]
+    images = recording.of_role("image")
+    for camera in others:
+        if camera.topic and not recording.has("image", camera.topic):
+            notes.append(f"{camera.name} not used: the recording has no images of {camera.topic}")
+        elif len(images) <= len(kept):
+            notes.append(f"{camera.name} not used: the recording has images of {len(images)} camera(s)")
+        else:
+            kept.append(camera)
+    if first.depth and not (
+        recording.has("depth", first.depth.topic) if first.depth.topic else recording.of_role("depth")
+    ):
+        notes.append(f"depth of {first.name} not used: the recording has no depth images {first.depth.topic}".rstrip())
+        kept[0] = dataclasses.replace(first, depth=None)
+    if calibration.gps_topic and not recording.has("gps", calibration.gps_topic):
+        notes.append(f"GPS not used: the recording has no fixes of {calibration.gps_topic}")
+        calibration = dataclasses.replace(calibration, gps_topic="")
+    return dataclasses.replace(calibration, cameras=tuple(kept)), notes

@@ -2,54 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..errors import CalibrationError
-from ..geometry import camera as geometry_camera
 from ..geometry import se3
-from ..geometry.camera import CameraModel, camera_from_dict
 from ..sensors import Calibration, CameraCalibration, ImuNoise
+from .intrinsics import read_camera, write_camera
 from .yaml_file import Keys
 
 ASSUMED_GRAVITY = 9.81
-
-MODELS = {
-    ("pinhole", "radial-tangential"): ("pinhole-radtan", ("k1", "k2", "p1", "p2")),
-    ("pinhole", "radtan"): ("pinhole-radtan", ("k1", "k2", "p1", "p2")),
-    ("pinhole", "equidistant"): ("kannala-brandt", ("k1", "k2", "k3", "k4")),
-}
+COEFFICIENTS = "distortion_coefficients"
 
 
 def recognizes(keys: Keys) -> bool:
     return "sensor_type" in keys
 
 
+def describes_camera(content: Mapping[str, Any]) -> bool:
+    """Whether a folder's sensor.yaml holds a calibrated camera: converted recordings may have the topic alone."""
+    return all(key in content for key in ("T_BS", "camera_model", "intrinsics", "resolution"))
+
+
 def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
-    """Calibration from one camera's and the IMU's file: T_b_c = inverse(T_BS of the IMU) @ T_BS of the camera."""
-    camera, imu = _one(files, "camera"), _one(files, "imu")
+    """Calibration from the files of the IMU and of one or two cameras, in their order.
+
+    T_b_c = inverse(T_BS of the IMU) @ T_BS of the camera.
+    """
+    imu = _only(files, "imu")
+    cameras = [f for f in files if f.content.get("sensor_type") == "camera"]
+    if not 1 <= len(cameras) <= 2 or len(cameras) + 1 != len(files):
+        names = ", ".join(str(f.path) for f in files)
+        raise CalibrationError(
+            f"{names}: expected one or two sensor.yaml with sensor_type camera, found {len(cameras)}"
+        )
     T_body_imu = imu.transform("T_BS", "the transform from the IMU to the body")
-    T_body_camera = camera.transform("T_BS", "the transform from the camera to the body")
-    same = np.array_equal(T_body_imu, np.eye(4))
-    T_b_c = T_body_camera if same else se3.inverse(T_body_imu) @ T_body_camera
     notes = []
     if "gravity_m_s2" in imu:  # written by vinspect
         gravity = imu.number("gravity_m_s2", "the norm of gravity", positive=True)
     else:
         gravity = ASSUMED_GRAVITY
         notes.append(f"{imu.path} gives no gravity: {ASSUMED_GRAVITY} m/s^2 is assumed")
-    td_s = camera.number("td_s", "t_imu = t_image + td in s") if "td_s" in camera else 0.0
-    topic = camera.text("topic", "the camera's topic") if "topic" in camera else ""
+    td_s = [c.number("td_s", "t_imu = t_image + td in s") if "td_s" in c else 0.0 for c in cameras]
     calibration = Calibration(
-        cameras=(CameraCalibration("cam0", _model(camera), T_b_c, topic),),
+        cameras=tuple(
+            replace(_camera(keys, f"cam{i}", T_body_imu), td_s=None if td_s[i] == td_s[0] else td_s[i])
+            for i, keys in enumerate(cameras)
+        ),
         noise=_noise(imu),
         gravity_m_s2=gravity,
-        td_s=td_s,
+        td_s=td_s[0],
         imu_topic=imu.text("topic", "the IMU's topic") if "topic" in imu else "",
-        sources=(str(camera.path), str(imu.path)),
+        sources=tuple(str(f.path) for f in (*cameras, imu)),
     )
     return calibration, {}, tuple(notes)
+
+
+def _camera(keys: Keys, name: str, T_body_imu: np.ndarray) -> CameraCalibration:
+    T_body_camera = keys.transform("T_BS", "the transform from the camera to the body")
+    same = np.array_equal(T_body_imu, np.eye(4))
+    T_b_c = T_body_camera if same else se3.inverse(T_body_imu) @ T_body_camera
+    topic = keys.text("topic", "the camera's topic") if "topic" in keys else ""
+    readout_s = keys.number("readout_s", "the readout time of an image in s") if "readout_s" in keys else 0.0
+    return CameraCalibration(name, read_camera(keys, COEFFICIENTS), T_b_c, topic, readout_s=readout_s)
 
 
 def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
@@ -68,43 +86,23 @@ def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
 
 def camera_to_dict(camera: CameraCalibration, td_s: float) -> dict[str, Any]:
     """What `read` expects of a camera's file."""
-    values = geometry_camera.camera_to_dict(camera.model)
-    words, coefficients = next((words, names) for words, (model, names) in MODELS.items() if model == values["model"])
     return {
         "T_BS": _matrix(camera.T_b_c),
-        "resolution": [values["width"], values["height"]],
-        "camera_model": words[0],
-        "intrinsics": [values[k] for k in ("fx", "fy", "cx", "cy")],
-        "distortion_model": words[1],
-        "distortion_coefficients": [values[k] for k in coefficients],
+        **write_camera(camera.model, COEFFICIENTS, radtan="radial-tangential"),
         "td_s": td_s,
-    }
+    } | ({"readout_s": camera.readout_s} if camera.readout_s else {})
 
 
 def _matrix(T: np.ndarray) -> dict[str, Any]:
     return {"cols": 4, "rows": 4, "data": T.ravel().tolist()}
 
 
-def _one(files: list[Keys], kind: str) -> Keys:
+def _only(files: list[Keys], kind: str) -> Keys:
     found = [f for f in files if f.content.get("sensor_type") == kind]
     if len(found) != 1:
         names = ", ".join(str(f.path) for f in files)
         raise CalibrationError(f"{names}: expected one sensor.yaml with sensor_type {kind}, found {len(found)}")
     return found[0]
-
-
-def _model(keys: Keys) -> CameraModel:
-    camera = keys.text("camera_model", "pinhole")
-    distortion = keys.text("distortion_model", "radial-tangential or equidistant")
-    if (camera, distortion) not in MODELS:
-        known = ", ".join(" ".join(pair) for pair in MODELS)
-        raise CalibrationError(f"{keys.path}: unknown camera model {camera} {distortion}; known are {known}")
-    name, coefficients = MODELS[camera, distortion]
-    width, height = keys.numbers("resolution", 2, "width and height in px")
-    intrinsics = keys.numbers("intrinsics", 4, "fu, fv, cu, cv in px")
-    values = dict(zip(("fx", "fy", "cx", "cy"), intrinsics))
-    values |= dict(zip(coefficients, keys.numbers("distortion_coefficients", 4, ", ".join(coefficients))))
-    return camera_from_dict(name, width=width, height=height, **values)
 
 
 def _noise(keys: Keys) -> ImuNoise:

@@ -22,12 +22,45 @@ TO_GREY = {
     "bayer_grbg8": cv2.COLOR_BayerGB2GRAY,
 }
 CHANNELS = {"mono8": 1, "8UC1": 1, "mono16": 1, "16UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
+CHANNELS |= {"32FC1": 1}
 CHANNELS |= {name: 1 for name in TO_GREY if name.startswith("bayer")}
+
+
+DEPTH = ("16UC1", "32FC1")
+COMPRESSED_DEPTH_HEADER = 12
+"""Bytes before the PNG in a compressedDepth message of 16UC1: how 32FC1 would be quantised."""
 
 
 def depth_bytes(encoding: str) -> int:
     """Bytes per channel of a raw encoding."""
-    return 2 if "16" in encoding else 1
+    return 4 if "32" in encoding else 2 if "16" in encoding else 1
+
+
+def depth_m(message: ImageMessage, scale_m: float, source: str) -> np.ndarray:
+    """(rows, columns) float32 in metres, NaN where there is none (0, infinite or negative).
+
+    Integers count `scale_m`; floating point is in metres already (REP 118).  Files are 16-bit PNG or float TIFF.
+    """
+    pixels = message.data
+    if isinstance(pixels, bytes):
+        data = np.frombuffer(pixels, np.uint8)
+        if data[:4].tobytes() != b"\x89PNG" and data[COMPRESSED_DEPTH_HEADER:][:4].tobytes() == b"\x89PNG":
+            data = data[COMPRESSED_DEPTH_HEADER:]
+        try:
+            found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+        except cv2.error:
+            found = None
+        pixels = np.zeros(0) if found is None else np.asarray(found)
+    if pixels.ndim != 2 or pixels.dtype not in (np.uint16, np.float32):
+        raise RecordingError(
+            f"{source}: the depth image of {message.topic} at {message.t_ns} ns cannot be read: "
+            f"expected 16UC1 or 32FC1, one channel of 16-bit integers or 32-bit floating point"
+        )
+    depth = pixels.astype(np.float32)
+    if pixels.dtype == np.uint16:
+        depth *= np.float32(scale_m)
+    depth[~((depth > 0) & np.isfinite(depth))] = np.nan
+    return depth
 
 
 def grey(message: ImageMessage, source: str) -> np.ndarray:

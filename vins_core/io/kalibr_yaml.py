@@ -1,21 +1,25 @@
-"""Kalibr's results: a camchain (camchain-imucam-*.yaml) and an imu file (imu.yaml or imu-*.yaml)."""
+"""Kalibr's results: a camchain (camchain-imucam-*.yaml) and an imu file (imu.yaml or imu-*.yaml).
+
+OpenVINS' kalibr_imucam_chain.yaml and kalibr_imu_chain.yaml are the same but for the direction of one transform.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from ..errors import CalibrationError
 from ..geometry import se3
-from ..geometry.camera import CameraModel, camera_from_dict
 from ..sensors import Calibration, CameraCalibration, ImuNoise
 from .euroc_yaml import ASSUMED_GRAVITY
+from .intrinsics import read_camera
 from .yaml_file import Keys
 
-MODELS = {
-    ("pinhole", "radtan"): ("pinhole-radtan", ("k1", "k2", "p1", "p2")),
-    ("pinhole", "equidistant"): ("kannala-brandt", ("k1", "k2", "k3", "k4")),
-}
-KNOWN = {"pinhole", "omni", "eucm", "ds"}
+MAX_CAMERAS = 2
+IMU_MATRICES = ("Tw", "Ta", "R_IMUtoGYRO", "R_IMUtoACC")
+"""OpenVINS' intrinsics of the IMU; identities unless it was calibrated that far."""
 
 
 def recognizes(keys: Keys) -> bool:
@@ -33,11 +37,10 @@ def _is_imu(keys: Keys) -> bool:
     return "accelerometer_noise_density" in inner and "sensor_type" not in inner
 
 
-def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
-    """cam0 of the camchain and the IMU.
+def read(files: list[Keys], max_cameras: int = MAX_CAMERAS) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
+    """One or two cameras of the camchain and the IMU.
 
-    Kalibr's T_cam_imu maps IMU to camera coordinates, the inverse of T_b_c; its time shift has our sign:
-    t_imu = t_cam + timeshift_cam_imu.
+    Kalibr's time shift has our sign: t_imu = t_cam + timeshift_cam_imu.
     """
     chains, imus = [f for f in files if _is_camchain(f)], [f for f in files if _is_imu(f)]
     if len(chains) != 1 or len(imus) != 1 or len(files) != 2:
@@ -45,20 +48,21 @@ def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...
         missing = "its camchain file" if not chains else "its imu file" if not imus else "exactly two files"
         raise CalibrationError(f"{names}: a Kalibr calibration needs {missing} as well; give both with --calib")
     chain = chains[0]
-    camera = chain.mapping("cam0", "a camera")
     imu = imus[0].mapping("imu0", "an IMU") if "imu0" in imus[0] else imus[0]
     notes = [f"{imu.path} gives no gravity: {ASSUMED_GRAVITY} m/s^2 is assumed"]
-    others = sorted(key for key in chain.content if key.startswith("cam") and key != "cam0")
-    if others:
-        notes.append(f"{', '.join(others)} not used: one camera is supported so far")
-    T_c_b = camera.transform("T_cam_imu", "the transform from IMU to camera (run kalibr_calibrate_imu_camera)")
-    if "timeshift_cam_imu" in camera:
-        td_s = camera.number("timeshift_cam_imu", "t_imu = t_cam + shift in s")
-    else:
-        td_s = 0.0
+    all_cameras = sorted(key for key in chain.content if key.startswith("cam"))
+    used, left_out = all_cameras[:max_cameras], all_cameras[max_cameras:]
+    if left_out:
+        notes.append(f"{', '.join(left_out)} not used: at most {max_cameras} are")
+    cameras = _cameras(chain, used)
+    if not any("timeshift_cam_imu" in chain.content[name] for name in used):
         notes.append(f"{chain.path} gives no timeshift_cam_imu: camera and IMU are taken as synchronised")
+    skewed = [m for m in IMU_MATRICES if m in imu and not np.array_equal(imu.matrix(m, 3, 3, "a matrix"), np.eye(3))]
+    if skewed:
+        notes.append(f"{imu.path}: {', '.join(skewed)} not applied: the IMU is taken as free of skew and scale errors")
+    td_s = cameras[0].td_s or 0.0
     calibration = Calibration(
-        cameras=(CameraCalibration("cam0", _model(camera), se3.inverse(T_c_b), _topic(camera)),),
+        cameras=tuple(replace(c, td_s=None) if c.td_s == td_s else c for c in cameras),
         noise=ImuNoise(
             "continuous",
             acc_n=imu.number("accelerometer_noise_density", "m/s^2/sqrt(Hz)", positive=True),
@@ -74,21 +78,26 @@ def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...
     return calibration, {}, tuple(notes)
 
 
+def _cameras(chain: Keys, names: list[str]) -> tuple[CameraCalibration, ...]:
+    """Cameras with their own time shift each."""
+    cameras: list[CameraCalibration] = []
+    for name in names:
+        keys = chain.mapping(name, "a camera")
+        T_b_c = _extrinsics(keys, cameras[-1].T_b_c if cameras else None)
+        shift = keys.number("timeshift_cam_imu", "t_imu = t_cam + shift in s") if "timeshift_cam_imu" in keys else 0.0
+        cameras.append(CameraCalibration(name, read_camera(keys, "distortion_coeffs"), T_b_c, _topic(keys), td_s=shift))
+    return tuple(cameras)
+
+
+def _extrinsics(keys: Keys, T_b_previous: np.ndarray | None) -> np.ndarray:
+    """T_b_c from Kalibr's T_cam_imu (IMU to camera coordinates), OpenVINS' T_imu_cam, or the camera before."""
+    if "T_imu_cam" in keys:
+        return keys.transform("T_imu_cam", "the transform from camera to IMU")
+    if "T_cam_imu" not in keys and T_b_previous is not None and "T_cn_cnm1" in keys:
+        return T_b_previous @ se3.inverse(keys.transform("T_cn_cnm1", "the transform from the camera before this one"))
+    T_c_b = keys.transform("T_cam_imu", "the transform from IMU to camera (run kalibr_calibrate_imu_camera)")
+    return se3.inverse(T_c_b)
+
+
 def _topic(keys: Keys) -> str:
     return keys.text("rostopic", "a topic") if keys.content.get("rostopic") else ""
-
-
-def _model(keys: Keys) -> CameraModel:
-    kind = keys.text("camera_model", "pinhole")
-    distortion = keys.text("distortion_model", "radtan or equidistant")
-    if (kind, distortion) not in MODELS:
-        problem = "is not supported yet" if kind in KNOWN else "is unknown"
-        raise CalibrationError(
-            f"{keys.path}: key {keys.where}camera_model: {kind} with {distortion} {problem}; "
-            f"supported are {', '.join(' with '.join(pair) for pair in MODELS)}"
-        )
-    name, coefficients = MODELS[kind, distortion]
-    width, height = keys.numbers("resolution", 2, "width and height in px")
-    values = dict(zip(("fx", "fy", "cx", "cy"), keys.numbers("intrinsics", 4, "fu, fv, pu, pv in px")))
-    values |= dict(zip(coefficients, keys.numbers("distortion_coeffs", 4, ", ".join(coefficients))))
-    return camera_from_dict(name, width=width, height=height, **values)

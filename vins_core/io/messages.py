@@ -6,10 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..sensors import GpsFix
+
 
 @dataclass(frozen=True)
 class ImageMessage:
-    """An image, encoded (`format` "jpeg" or "png", `data` its bytes) or raw (`format` "mono8", `data` (rows, cols))."""
+    """An image, encoded (`format` "jpeg" or "png", `data` its bytes) or raw (`format` "mono8", `data` (rows, cols)).
+
+    A raw one of format "16UC1" or "32FC1" is a depth image.
+    """
 
     t_ns: int
     topic: str
@@ -47,6 +52,11 @@ class GpsMessage:
     altitude_m: float
     covariance_enu_m2: np.ndarray  # (3, 3)
     status: int = 0
+
+    @property
+    def fix(self) -> GpsFix:
+        place = self.latitude_deg, self.longitude_deg, self.altitude_m
+        return GpsFix(self.t_ns, *place, self.covariance_enu_m2, self.status)
 
 
 Message = ImageMessage | ImuMessage | TruthMessage | GpsMessage

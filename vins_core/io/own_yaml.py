@@ -3,7 +3,7 @@
 vinspect_calibration: 1
 gravity_m_s2: 9.81
 td_s: 0.0                      # t_imu = t_image + td
-imu:
+imu:                           # `imu: none` for cameras alone; then no gravity_m_s2 and td_s
   topic: /imu0                 # may be empty when the recording has one IMU
   noise: continuous            # densities per sqrt(Hz), or discrete: VINS' per-sample sigmas
   acc_n: 0.002                 # m/s^2
@@ -20,6 +20,12 @@ cameras:
   ...
   T_b_c: [[...], [...], [...], [0.0, 0.0, 0.0, 1.0]]   # camera to IMU coordinates
   mask: mask.png               # optional, beside this file: white pixels are used
+  td_s: 0.001                  # optional, of this camera alone
+  readout_s: 0.02              # optional, rolling shutter: from the first to the last row
+  depth: {topic: /depth, scale_m: 0.001, min_m: 0.3, max_m: 8.0, tolerance_s: 0.02}   # optional, registered to it
+extrinsics: fixed              # optional: fixed, refine or unknown
+estimate_td: false             # optional
+gps: {topic: /gps, p_b_gps: [0.1, 0.0, 0.2]}   # optional; the antenna in body coordinates, m
 parameters:                    # optional, as with --set
   window.max_iterations: 8
 """
@@ -28,18 +34,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ruamel.yaml import YAML
 
 from .. import params
 from ..errors import CalibrationError, OutputError, ParameterError
 from ..geometry.camera import camera_from_dict, camera_to_dict
-from ..sensors import Calibration, CameraCalibration, ImuNoise
+from ..sensors import NO_IMU, Calibration, CameraCalibration, DepthCalibration, ExtrinsicKnowledge, ImuNoise
 from .yaml_file import Keys
 
 VERSION = 1
+NOT_OF_THE_MODEL = ("name", "topic", "model", "T_b_c", "mask", "td_s", "readout_s", "depth")
 
 
 def recognizes(keys: Keys) -> bool:
@@ -50,15 +58,39 @@ def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
     version = keys.integer("vinspect_calibration", f"{VERSION}")
     if version != VERSION:
         raise keys.wrong("vinspect_calibration", version, f"{VERSION}: this file is from another version of vinspect")
-    imu = keys.mapping("imu", "topic, noise, acc_n, gyr_n, acc_w and gyr_w")
-    kind = imu.text("noise", "continuous or discrete")
-    if kind not in ("continuous", "discrete"):
-        raise imu.wrong("noise", kind, "continuous or discrete")
+    has_imu = keys.content.get("imu") != "none"
     cameras = keys.raw("cameras", "a list of cameras")
     if not isinstance(cameras, list) or not cameras or not all(isinstance(c, dict) for c in cameras):
         raise keys.wrong("cameras", cameras, "a list of cameras")
     calibration = Calibration(
         cameras=tuple(_camera(Keys(keys.path, c, f"cameras[{i}].")) for i, c in enumerate(cameras)),
+        noise=NO_IMU,
+        gravity_m_s2=9.81,
+        sources=(str(keys.path),),
+        has_imu=has_imu,
+        extrinsics=_extrinsics(keys),
+    )
+    if has_imu:
+        calibration = _with_imu(keys, calibration)
+    else:
+        keys.used |= {"imu", "gravity_m_s2", "td_s", "estimate_td"}
+    if "gps" in keys:
+        calibration = _with_gps(keys.mapping("gps", "topic and p_b_gps"), calibration)
+    overrides = dict(keys.mapping("parameters", "section.name: value").content) if "parameters" in keys else {}
+    try:
+        params.replace(params.Params(), overrides)
+    except ParameterError as error:
+        raise CalibrationError(f"{keys.path}: {error}") from error
+    return calibration, overrides, tuple(f"{key} is not known and was not used" for key in keys.unused())
+
+
+def _with_imu(keys: Keys, calibration: Calibration) -> Calibration:
+    imu = keys.mapping("imu", "topic, noise, acc_n, gyr_n, acc_w and gyr_w, or none")
+    kind = imu.text("noise", "continuous or discrete")
+    if kind not in ("continuous", "discrete"):
+        raise imu.wrong("noise", kind, "continuous or discrete")
+    return replace(
+        calibration,
         noise=ImuNoise(
             kind,
             acc_n=imu.number("acc_n", "accelerometer noise", positive=True),
@@ -69,25 +101,66 @@ def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
         gravity_m_s2=keys.number("gravity_m_s2", "the norm of gravity in m/s^2", positive=True),
         td_s=keys.number("td_s", "the time offset in s with t_imu = t_image + td"),
         imu_topic=_topic(imu),
-        sources=(str(keys.path),),
+        estimate_td=_flag(keys, "estimate_td"),
     )
-    overrides = dict(keys.mapping("parameters", "section.name: value").content) if "parameters" in keys else {}
-    try:
-        params.replace(params.Params(), overrides)
-    except ParameterError as error:
-        raise CalibrationError(f"{keys.path}: {error}") from error
-    return calibration, overrides, tuple(f"{key} is not known and was not used" for key in keys.unused())
+
+
+def _with_gps(gps: Keys, calibration: Calibration) -> Calibration:
+    calibration = replace(calibration, gps_topic=_topic(gps))
+    if "p_b_gps" not in gps:
+        return calibration
+    x, y, z = gps.numbers("p_b_gps", 3, "the antenna in body coordinates in m")
+    return replace(calibration, p_b_gps=(x, y, z))
 
 
 def _camera(keys: Keys) -> CameraCalibration:
     T_b_c = keys.transform("T_b_c", "four rows, camera to IMU coordinates")
     name, model = keys.text("name", "a name"), keys.text("model", "a camera model")
     mask = str(keys.path.parent / keys.text("mask", "a file")) if keys.content.get("mask") else ""
-    values = {k: v for k, v in keys.content.items() if k not in ("name", "topic", "model", "T_b_c", "mask")}
+    values = {k: v for k, v in keys.content.items() if k not in NOT_OF_THE_MODEL}
     try:
-        return CameraCalibration(name, camera_from_dict(model, **values), T_b_c, _topic(keys), mask)
+        camera = camera_from_dict(model, **values)
     except CalibrationError as error:
         raise CalibrationError(f"{keys.path}: {keys.where[:-1]}: {error}") from error
+    return CameraCalibration(
+        name,
+        camera,
+        T_b_c,
+        _topic(keys),
+        mask,
+        td_s=keys.number("td_s", "the time offset of this camera in s") if "td_s" in keys else None,
+        readout_s=keys.number("readout_s", "the readout time of an image in s") if "readout_s" in keys else 0.0,
+        depth=_depth(keys.mapping("depth", "topic and scale_m")) if "depth" in keys else None,
+    )
+
+
+def _depth(keys: Keys) -> DepthCalibration:
+    numbers = {
+        name: keys.number(name, "a number", positive=name != "min_m")
+        for name in ("scale_m", "min_m", "max_m", "tolerance_s")
+        if name in keys
+    }
+    unknown = [key for key in keys.content if key not in (*numbers, "topic")]
+    if unknown:
+        raise CalibrationError(f"{keys.path}: key {keys.where}{unknown[0]} is not known")
+    return DepthCalibration(_topic(keys), **numbers)
+
+
+def _extrinsics(keys: Keys) -> ExtrinsicKnowledge:
+    if "extrinsics" not in keys:
+        return "fixed"
+    said = keys.text("extrinsics", "fixed, refine or unknown")
+    for choice in get_args(ExtrinsicKnowledge):
+        if said == choice:
+            return choice
+    raise keys.wrong("extrinsics", said, "fixed, refine or unknown")
+
+
+def _flag(keys: Keys, key: str) -> bool:
+    value = keys.raw(key, "true or false") if key in keys else False
+    if not isinstance(value, bool):
+        raise keys.wrong(key, value, "true or false")
+    return value
 
 
 def _topic(keys: Keys) -> str:
@@ -100,20 +173,31 @@ def write(
 ) -> None:
     """Write a file that `read` gives back equal, to the last bit; refuses an existing one.  Notes become comments."""
     path = Path(path)
-    content: dict[str, Any] = {
-        "vinspect_calibration": VERSION,
-        "gravity_m_s2": calibration.gravity_m_s2,
-        "td_s": calibration.td_s,
-        "imu": {"topic": calibration.imu_topic, **_noise(calibration.noise)},
-        "cameras": [
-            {"name": c.name, "topic": c.topic, **camera_to_dict(c.model), "T_b_c": c.T_b_c.tolist()}
-            | ({"mask": c.mask} if c.mask else {})
-            for c in calibration.cameras
-        ],
-    }
+    content: dict[str, Any] = {"vinspect_calibration": VERSION}
+    if calibration.has_imu:
+        content |= {"gravity_m_s2": calibration.gravity_m_s2, "td_s": calibration.td_s}
+        content |= {"imu": {"topic": calibration.imu_topic, **_noise(calibration.noise)}}
+    else:
+        content |= {"imu": "none"}
+    content |= {"cameras": [_camera_to_dict(camera) for camera in calibration.cameras]}
+    content |= {"extrinsics": calibration.extrinsics} if calibration.extrinsics != "fixed" else {}
+    content |= {"estimate_td": True} if calibration.estimate_td else {}
+    if calibration.gps_topic or calibration.p_b_gps:
+        antenna = {"p_b_gps": list(calibration.p_b_gps)} if calibration.p_b_gps else {}
+        content |= {"gps": {"topic": calibration.gps_topic} | antenna}
     if overrides:
         content["parameters"] = dict(overrides)
     dump(path, content, notes)
+
+
+def _camera_to_dict(camera: CameraCalibration) -> dict[str, Any]:
+    content = {"name": camera.name, "topic": camera.topic, **camera_to_dict(camera.model)}
+    content |= {"T_b_c": camera.T_b_c.tolist()}
+    content |= {"mask": camera.mask} if camera.mask else {}
+    content |= {"td_s": camera.td_s} if camera.td_s is not None else {}
+    content |= {"readout_s": camera.readout_s} if camera.readout_s else {}
+    content |= {"depth": dataclasses.asdict(camera.depth)} if camera.depth else {}
+    return content
 
 
 def dump(path: Path, content: Mapping[str, Any], notes: Sequence[str] = ()) -> None:

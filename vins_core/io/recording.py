@@ -15,7 +15,7 @@ from typing import Literal, Self
 import numpy as np
 
 from ..errors import RecordingError
-from ..sensors import Calibration, GpsFix, ImageRef, ImuSamples, Trajectory
+from ..sensors import Calibration, DepthRef, GpsFix, ImageRef, ImuSamples, Trajectory
 from . import images
 from .messages import GpsMessage, ImageMessage, ImuMessage, Message, TruthMessage
 from .trajectory import from_messages
@@ -56,16 +56,29 @@ class TopicChoice:
     imu: str = ""
     truth: str = ""
     gps: str = ""
+    depth: str = ""
+    cameras: int = 1  # how many there are where `images` does not name them
+    has_imu: bool = True
+    has_depth: bool = False
 
     @staticmethod
     def of(calibration: Calibration) -> TopicChoice:
         named = tuple(c.topic for c in calibration.cameras)
-        return TopicChoice(images=named if all(named) else (), imu=calibration.imu_topic)
+        depth = calibration.cameras[0].depth
+        return TopicChoice(
+            images=named if all(named) else (),
+            imu=calibration.imu_topic,
+            gps=calibration.gps_topic,
+            depth=depth.topic if depth else "",
+            cameras=len(calibration.cameras),
+            has_imu=calibration.has_imu,
+            has_depth=depth is not None,
+        )
 
 
 @dataclass(frozen=True)
 class ImageStub:
-    """An image met while scanning: where it is, not its pixels."""
+    """An image or a depth image met while scanning: where it is, not its pixels."""
 
     t_ns: int
     topic: str
@@ -75,6 +88,9 @@ class ImageStub:
 
 Item = ImageStub | ImuMessage | TruthMessage | GpsMessage
 """What a scan yields."""
+
+Event = ImuMessage | ImageRef | GpsFix | DepthRef
+"""What `Recording.events` yields."""
 
 RANK: dict[type, int] = {ImuMessage: 0, GpsMessage: 1, TruthMessage: 2, ImageStub: 3}
 
@@ -91,6 +107,8 @@ class Recording(ABC):
     """
 
     kind: str
+    numbered = False
+    """The format numbers its sensors: where there are several of a kind, the first ones are meant."""
 
     def __init__(self, path: Path, topics: TopicChoice | Calibration | None = None) -> None:
         self.path = path
@@ -117,7 +135,16 @@ class Recording(ABC):
         """The topic of each camera, in the order of Calibration.cameras."""
         if self.choice.images:
             return tuple(self._named("image", topic) for topic in self.choice.images)
-        return (self._only("image"),)
+        count = self.choice.cameras
+        if count == 1:
+            return (self._only("image"),)
+        streams = self.of_role("image")
+        if len(streams) < count or (len(streams) > count and not self.numbered):
+            names = ", ".join(s.topic for s in streams) or "none"
+            raise RecordingError(
+                f"{self.path}: expected {count} image topics, found {len(streams)} ({names}): {_HOW_TO_CHOOSE}"
+            )
+        return tuple(s.topic for s in streams[:count])
 
     @property
     def imu_topic(self) -> str:
@@ -132,27 +159,40 @@ class Recording(ABC):
     def gps_topic(self) -> str | None:
         return self._named("gps", self.choice.gps) if self.choice.gps else self._maybe("gps")
 
+    @property
+    def depth_topic(self) -> str:
+        return self._named("depth", self.choice.depth) if self.choice.depth else self._only("depth")
+
     def candidates(self, role: Role) -> tuple[Stream, ...]:
         """The streams that could play a role.  Full poses win over bare positions as truth."""
         streams = self.of_role(role)
+        if self.numbered:
+            return streams[:1]
         poses = tuple(s for s in streams if not s.type.endswith("PointStamped"))
         return poses or streams if role == "truth" else streams
+
+    def has(self, role: Role, topic: str) -> bool:
+        """Whether there is a topic of this name and role."""
+        return bool(self._alike(role, topic))
 
     def _maybe(self, role: Role) -> str | None:
         found = self.candidates(role)
         return found[0].topic if len(found) == 1 else None
 
     def _named(self, role: Role, topic: str) -> str:
-        wanted = topic.strip("/").removesuffix("/compressed")
-        streams = self.of_role(role)
-        exact = [s.topic for s in streams if s.topic == topic]
-        alike = exact or [s.topic for s in streams if s.topic.strip("/").removesuffix("/compressed") == wanted]
+        alike = self._alike(role, topic)
         if alike:
             return alike[0]
-        there = ", ".join(f"{s.topic} ({s.type})" for s in streams) or f"no {role} topic at all"
+        there = ", ".join(f"{s.topic} ({s.type})" for s in self.of_role(role)) or f"no {role} topic at all"
         raise RecordingError(
             f"{self.path}: there is no {role} topic {topic}; the recording has {there}: {_HOW_TO_CHOOSE}"
         )
+
+    def _alike(self, role: Role, topic: str) -> list[str]:
+        wanted = topic.strip("/").removesuffix("/compressed")
+        streams = self.of_role(role)
+        exact = [s.topic for s in streams if s.topic == topic]
+        return exact or [s.topic for s in streams if s.topic.strip("/").removesuffix("/compressed") == wanted]
 
     def _only(self, role: Role) -> str:
         candidates = self.candidates(role)
@@ -170,15 +210,22 @@ class Recording(ABC):
     def scan(self, topics: Collection[str]) -> Iterator[Item]:
         """Items of these topics merged by `time_order`, streaming; each topic keeps the order of its file."""
 
-    def events(self) -> Iterator[ImuMessage | ImageRef]:
-        """IMU samples and images (without pixels) of the chosen topics, merged by (stamp, kind), streaming.
+    def events(self) -> Iterator[Event]:
+        """What packets are made of, of the chosen topics, merged by (stamp, kind), streaming: images without pixels.
 
         Each topic keeps the order of its file, so that a stamp that goes back is seen to go back.
         """
         cameras = {topic: i for i, topic in enumerate(self.image_topics)}
-        for item in self.scan([self.imu_topic, *cameras]):
-            if isinstance(item, ImageStub):
+        topics = [self.imu_topic] if self.choice.has_imu else []
+        depth = self.depth_topic if self.choice.has_depth else None
+        others = [topic for topic in (self.gps_topic, depth) if topic is not None]
+        for item in self.scan([*topics, *cameras, *others]):
+            if isinstance(item, ImageStub) and item.topic == depth:
+                yield DepthRef(item.t_ns, 0, item.index, item.locator)
+            elif isinstance(item, ImageStub):
                 yield ImageRef(item.t_ns, cameras[item.topic], item.index, item.locator)
+            elif isinstance(item, GpsMessage):
+                yield item.fix
             elif isinstance(item, ImuMessage):
                 yield item
 
@@ -208,9 +255,7 @@ class Recording(ABC):
     def gps(self) -> list[GpsFix]:
         topic = self.gps_topic
         fixes = (m for m in self.scan([topic]) if isinstance(m, GpsMessage)) if topic else ()
-        return [
-            GpsFix(m.t_ns, m.latitude_deg, m.longitude_deg, m.altitude_m, m.covariance_enu_m2, m.status) for m in fixes
-        ]
+        return [m.fix for m in fixes]
 
     def messages(self) -> Iterator[Message]:
         """Everything that can be written again: all cameras, IMUs, GPS receivers and ground truths."""
@@ -227,6 +272,14 @@ class Recording(ABC):
     def load(self, ref: ImageRef) -> np.ndarray:
         """Grey image (rows, columns) uint8; raises RecordingError when it cannot be read."""
         return images.grey(self._find(ref), str(self.path))
+
+    def load_depth(self, ref: DepthRef, scale_m: float) -> np.ndarray:
+        """Depth image (rows, columns) float32 in metres, NaN where unknown; `scale_m`: of an integer image.
+
+        Raises RecordingError when it cannot be read.
+        """
+        message = self._image(ImageStub(ref.t_ns, self.depth_topic, ref.index, ref.locator))
+        return images.depth_m(message, scale_m, str(self.path))
 
     def encoded(self, ref: ImageRef) -> tuple[str, bytes]:
         """(mime type, bytes) for a browser: the stored JPEG or PNG as it is, anything else as JPEG."""
@@ -267,8 +320,9 @@ class Recording(ABC):
 
 
 def open_recording(path: Path | str, topics: TopicChoice | Calibration | None = None) -> Recording:
-    """Open a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder (mav0 or its parent)."""
+    """Open a ROS 1 bag, a ROS 2 bag (folder, .db3 or .mcap), an EuRoC folder (mav0 or its parent) or KITTI raw data."""
     from .asl import AslRecording, find_mav0
+    from .kitti import KittiRecording, find_drive
     from .rosbag import BagRecording, is_ros1
 
     path = Path(path)
@@ -278,14 +332,17 @@ def open_recording(path: Path | str, topics: TopicChoice | Calibration | None = 
         if path.suffix in (".bag", ".db3", ".mcap") or is_ros1(path):
             return BagRecording(path, topics)
         raise RecordingError(
-            f"{path}: not a recording; expected a ROS 1 .bag, a ROS 2 bag (folder, .db3 or .mcap) or an EuRoC folder "
-            "that holds mav0"
+            f"{path}: not a recording; expected a ROS 1 .bag, a ROS 2 bag (folder, .db3 or .mcap), an EuRoC folder "
+            "that holds mav0, or a KITTI drive"
         )
     if (path / "metadata.yaml").exists():
         return BagRecording(path, topics)
     root = find_mav0(path)
     if root is not None:
         return AslRecording(path, root, topics)
+    drive = find_drive(path)
+    if drive is not None:
+        return KittiRecording(path, drive, topics)
     inside = sorted(p for p in path.iterdir() if p.suffix in (".bag", ".db3", ".mcap"))
     if any(p.suffix != ".bag" for p in inside):
         raise RecordingError(
@@ -296,5 +353,6 @@ def open_recording(path: Path | str, topics: TopicChoice | Calibration | None = 
         raise RecordingError(f"{path}: a folder with bags; open one of them: {', '.join(p.name for p in inside)}")
     what = "an empty folder" if not any(path.iterdir()) else "no recording in this folder"
     raise RecordingError(
-        f"{path}: {what}; expected mav0 with cam0/data.csv and imu0/data.csv (EuRoC), or metadata.yaml (ROS 2)"
+        f"{path}: {what}; expected mav0 with cam0/data.csv and imu0/data.csv (EuRoC), metadata.yaml (ROS 2) or "
+        "image_00/timestamps.txt and oxts (KITTI raw)"
     )

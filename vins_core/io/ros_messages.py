@@ -110,7 +110,8 @@ def image(message: Any, t_ns: int, topic: str, source: str) -> ImageMessage:
             f"{message.width}x{message.height} {message.encoding} in rows of {message.step}"
         )
     rows = message.data[: message.step * message.height].reshape(message.height, message.step)[:, :row]
-    dtype = np.dtype(np.uint8 if width == 1 else ">u2" if message.is_bigendian else "<u2")
+    kind = {1: "u1", 2: "u2", 4: "f4"}[width]
+    dtype = np.dtype(f"{'>' if message.is_bigendian else '<'}{kind}")
     pixels = np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="), copy=False)
     return ImageMessage(
         t_ns,

@@ -119,7 +119,7 @@ class BagRecording(Recording):
 
     def _items(self, topic: str, source: _Demultiplexer) -> Iterator[Item]:
         msgtype, role = self._connections[topic][0].msgtype, self.stream(topic).role
-        if role == "image":
+        if role in ("image", "depth"):
             for index, (record_ns, raw) in enumerate(source.of(topic)):
                 yield ImageStub(self._guard(self._codec.stamp_ns, raw), topic, index, record_ns)
             return
@@ -194,7 +194,7 @@ class _Demultiplexer:
         self._bag = bag
         self._queues: dict[str, deque[Raw]] = {topic: deque() for topic in topics}
         self._left = {topic: sum(c.msgcount for c in bag._connections[topic]) for topic in topics}
-        self._images = {topic for topic in topics if bag.stream(topic).role == "image"}
+        self._images = {topic for topic in topics if bag.stream(topic).role in ("image", "depth")}
         self._source = bag._reader.messages([c for topic in topics for c in bag._connections[topic]])
 
     def of(self, topic: str) -> Iterator[Raw]:

@@ -1,4 +1,4 @@
-"""VINS-Mono and VINS-Fusion configs (OpenCV YAML; REFERENCE 22)."""
+"""VINS-Mono and VINS-Fusion configs, and those of their depth-camera forks (OpenCV YAML; REFERENCE 22)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ..errors import CalibrationError
-from ..geometry.camera import CameraModel, camera_from_dict
-from ..sensors import Calibration, CameraCalibration, ImuNoise
+import numpy as np
+
+from ..sensors import NO_IMU, Calibration, CameraCalibration, DepthCalibration, ExtrinsicKnowledge, ImuNoise
+from .camodocal_yaml import camera_model
 from .yaml_file import Keys, read_yaml, rigid
 
 FLAG: Callable[[float], Any] = bool
@@ -21,21 +22,19 @@ TUNING: dict[str, tuple[str, Callable[[float], Any]]] = {
     "flow_back": ("frontend.flow_back", FLAG),
     "keyframe_parallax": ("window.keyframe_parallax", float),
     "max_num_iterations": ("window.max_iterations", int),
+    "loop_closure": ("loop.enabled", FLAG),
 }
 EXPECTED_TUNING = ("max_cnt", "min_dist", "F_threshold", "keyframe_parallax", "max_num_iterations")
 
 ALWAYS_IGNORED = {
     "max_solver_time": "a run never depends on the clock; max_num_iterations limits the solver",
     "output_path": "`--out` says where a run is written",
+    "fast_relocalization": "`loop.relocalize` says how many loops the window refines",
 }
 IGNORED_WHEN_ON = {
-    "loop_closure": "loop closure is not supported yet",
-    "fast_relocalization": "relocalisation is not supported yet",
-    "load_previous_pose_graph": "pose graphs are not supported yet",
-    "rolling_shutter": "rolling shutter is not supported yet, the image is taken as exposed at once",
-    "estimate_td": "estimating td is not supported yet, the given value is used",
-    "estimate_extrinsic": "estimating the extrinsics is not supported yet, the given values are used",
+    "load_previous_pose_graph": "a map of vinspect is loaded with `--map`",
     "multiple_thread": "every image is used (VINS-Fusion would skip every second one)",
+    "gnss_enable": "raw GNSS measurements are not read; fixes (sensor_msgs/NavSatFix) are",
 }
 SILENT = {  # switches of the ROS nodes that say nothing about sensors or estimation
     "show_track",
@@ -43,15 +42,19 @@ SILENT = {  # switches of the ROS nodes that say nothing about sensors or estima
     "visualize_imu_forward",
     "visualize_camera_size",
     "pose_graph_save_path",
-    "rolling_shutter_tr",
     "camera_name",
     "model_type",
+    # the point cloud that VINS-RGBD draws
+    "pcl_dist",
+    "pcl_min_dist",
+    "pcl_max_dist",
+    "u_boundary",
+    "d_boundary",
+    "l_boundary",
+    "r_boundary",
+    "resolution",
 }
-UNSUPPORTED = {
-    "MEI": "the unified (MEI) camera model is not supported yet",
-    "SCARAMUZZA": "the Scaramuzza camera model is not supported yet",
-    "PINHOLE_FULL": "the rational (PINHOLE_FULL) camera model is not supported yet",
-}
+EXTRINSICS: dict[int, ExtrinsicKnowledge] = {0: "fixed", 1: "refine", 2: "unknown"}
 
 
 def recognizes(keys: Keys) -> bool:
@@ -60,76 +63,107 @@ def recognizes(keys: Keys) -> bool:
 
 
 def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
-    """Calibration, overrides and notes of a config; the camera named beside it for VINS-Fusion."""
+    """Calibration, overrides and notes of a config; for VINS-Fusion with the camera files it names."""
     notes: list[str] = []
-    camera = _fusion_camera(keys, notes) if "cam0_calib" in keys else _mono_camera(keys, notes)
-    noise = ImuNoise(
-        "discrete",
-        acc_n=keys.number("acc_n", "accelerometer noise in m/s^2", positive=True),
-        gyr_n=keys.number("gyr_n", "gyroscope noise in rad/s", positive=True),
-        acc_w=keys.number("acc_w", "accelerometer bias random walk", positive=True),
-        gyr_w=keys.number("gyr_w", "gyroscope bias random walk", positive=True),
-    )
+    extrinsics = _extrinsics(keys)
+    has_imu = "imu" not in keys or keys.integer("imu", "1, or 0 for cameras without an IMU") != 0
+    if "cam0_calib" in keys:
+        cameras = _fusion_cameras(keys, has_imu, extrinsics, notes)
+    else:
+        cameras = (_mono_camera(keys, extrinsics, notes),)
     calibration = Calibration(
-        cameras=(camera,),
-        noise=noise,
-        gravity_m_s2=keys.number("g_norm", "the norm of gravity in m/s^2, e.g. 9.81", positive=True),
-        td_s=keys.number("td", "the time offset in s with t_imu = t_image + td, 0.0 for synchronised sensors"),
-        imu_topic=keys.text("imu_topic", "the IMU's topic"),
+        cameras=cameras,
+        noise=_noise(keys) if has_imu else _no_imu(keys),
+        gravity_m_s2=_gravity(keys) if has_imu or "g_norm" in keys else 9.81,
+        td_s=_td(keys) if has_imu or "td" in keys else 0.0,
+        imu_topic=keys.text("imu_topic", "the IMU's topic") if has_imu else "",
         sources=(str(keys.path),),
+        has_imu=has_imu,
+        estimate_td=has_imu and _is_on(keys, "estimate_td"),
+        extrinsics=extrinsics,
+        gps_topic=keys.text("gps_topic", "the GPS receiver's topic") if keys.content.get("gps_topic") else "",
     )
     overrides = _tuning(keys, notes)
     _note_ignored(keys, notes)
     return calibration, overrides, tuple(notes)
 
 
-def _mono_camera(keys: Keys, notes: list[str]) -> CameraCalibration:
-    R = keys.matrix("extrinsicRotation", 3, 3, "the rotation from camera to IMU")
-    t = keys.matrix("extrinsicTranslation", 3, 1, "the camera's position in the IMU frame in m")
-    T_b_c = rigid(R, t[:, 0], keys, "extrinsicRotation")
+# -- cameras -----------------------------------------------------------------------------------------------------------
+
+
+def _mono_camera(keys: Keys, extrinsics: ExtrinsicKnowledge, notes: list[str]) -> CameraCalibration:
+    given = "extrinsicRotation" in keys or "extrinsicTranslation" in keys
+    if extrinsics == "unknown" and not given:
+        T_b_c = np.eye(4)
+    else:
+        R = keys.matrix("extrinsicRotation", 3, 3, "the rotation from camera to IMU")
+        t = keys.matrix("extrinsicTranslation", 3, 1, "the camera's position in the IMU frame in m")
+        T_b_c = rigid(R, t[:, 0], keys, "extrinsicRotation")
+    topic = keys.text("image_topic", "the camera's topic")
+    model = camera_model(keys)
     return CameraCalibration(
-        "cam0", camera_model(keys), T_b_c, keys.text("image_topic", "the camera's topic"), _mask(keys, notes)
+        "cam0", model, T_b_c, topic, _mask(keys, notes), readout_s=_readout(keys), depth=_depth(keys)
     )
 
 
-def _fusion_camera(keys: Keys, notes: list[str]) -> CameraCalibration:
-    if "imu" in keys and keys.integer("imu", "1, with an IMU") == 0:
-        raise CalibrationError(f"{keys.path}: key imu is 0; cameras without an IMU are not supported yet, expected 1")
-    beside = keys.path.parent / keys.text("cam0_calib", "the camera's file beside this one")
-    camera = Keys(beside, read_yaml(beside))
-    T_b_c = keys.transform("body_T_cam0", "the transform from camera to IMU")
-    if "num_of_cam" in keys and keys.integer("num_of_cam", "1 or 2") > 1:
-        notes.append("num_of_cam: stereo is not supported yet, cam0 alone is used")
+def _fusion_cameras(
+    keys: Keys, has_imu: bool, extrinsics: ExtrinsicKnowledge, notes: list[str]
+) -> tuple[CameraCalibration, ...]:
+    count = keys.integer("num_of_cam", "1 or 2") if "num_of_cam" in keys else 1
+    if count not in (1, 2):
+        raise keys.wrong("num_of_cam", count, "1 or 2")
     keys.used |= {"image1_topic", "cam1_calib", "body_T_cam1", "image_width", "image_height"}
-    topic = keys.text("image0_topic", "the camera's topic")
-    return CameraCalibration("cam0", camera_model(camera), T_b_c, topic, _mask(keys, notes))
+    mask, readout_s, depth = _mask(keys, notes), _readout(keys), _depth(keys)
+    cameras = []
+    for i in range(count):
+        beside = keys.path.parent / keys.text(f"cam{i}_calib", "the camera's file beside this one")
+        where = f"body_T_cam{i}"
+        if extrinsics == "unknown" and where not in keys:
+            T_b_c = np.eye(4)
+        else:
+            T_b_c = keys.transform(where, "the transform from camera to IMU")
+        topic = f"image{i}_topic"
+        if not has_imu and keys.content.get(topic) == "":  # configs for folders of images name no topics
+            named = ""
+        else:
+            named = keys.text(topic, "the camera's topic")
+        model = camera_model(Keys(beside, read_yaml(beside)))
+        own_depth = depth if i == 0 else None
+        cameras.append(CameraCalibration(f"cam{i}", model, T_b_c, named, mask, readout_s=readout_s, depth=own_depth))
+    return tuple(cameras)
 
 
-def camera_model(keys: Keys) -> CameraModel:
-    """A camodocal camera block (REFERENCE C1, C3)."""
-    kind = keys.text("model_type", "PINHOLE or KANNALA_BRANDT")
-    size = {
-        "width": keys.integer("image_width", "the image width in px"),
-        "height": keys.integer("image_height", "the image height in px"),
+def _extrinsics(keys: Keys) -> ExtrinsicKnowledge:
+    if "estimate_extrinsic" not in keys:
+        return "fixed"
+    said = keys.integer("estimate_extrinsic", "0, 1 or 2")
+    if said not in EXTRINSICS:
+        raise keys.wrong("estimate_extrinsic", said, "0 (as given), 1 (refine) or 2 (unknown)")
+    return EXTRINSICS[said]
+
+
+def _readout(keys: Keys) -> float:
+    """VINS' rolling_shutter_tr: the readout time of a whole image."""
+    if not _is_on(keys, "rolling_shutter"):
+        keys.used.add("rolling_shutter_tr")
+        return 0.0
+    readout_s = keys.number("rolling_shutter_tr", "the readout time of an image in s")
+    if not 0 <= readout_s < 1:
+        raise keys.wrong("rolling_shutter_tr", readout_s, "the readout time of an image in s, 0 to 1")
+    return readout_s
+
+
+def _depth(keys: Keys) -> DepthCalibration | None:
+    """Depth images of VINS-RGBD and its forks: registered to the camera, 16UC1 in mm or 32FC1 in m."""
+    if not keys.content.get("depth_topic"):
+        keys.used |= {"depth_topic", "depth_min_dist", "depth_max_dist"}
+        return None
+    limits = {
+        ours: keys.number(theirs, "a distance in m")
+        for ours, theirs in (("min_m", "depth_min_dist"), ("max_m", "depth_max_dist"))
+        if theirs in keys
     }
-    if kind == "PINHOLE":
-        distortion = keys.mapping("distortion_parameters", "k1, k2, p1 and p2")
-        projection = keys.mapping("projection_parameters", "fx, fy, cx and cy")
-        return camera_from_dict(
-            "pinhole-radtan",
-            **size,
-            **{k: projection.number(k, "a number in px") for k in ("fx", "fy", "cx", "cy")},
-            **{k: distortion.number(k, "a distortion coefficient") for k in ("k1", "k2", "p1", "p2")},
-        )
-    if kind == "KANNALA_BRANDT":
-        projection = keys.mapping("projection_parameters", "k2 to k5, mu, mv, u0 and v0")
-        names = {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy", "k2": "k1", "k3": "k2", "k4": "k3", "k5": "k4"}
-        values = {ours: projection.number(theirs, "a number") for theirs, ours in names.items()}
-        return camera_from_dict("kannala-brandt", **size, **values)
-    if kind in UNSUPPORTED:
-        raise CalibrationError(f"{keys.path}: key model_type: {UNSUPPORTED[kind]}; use PINHOLE or KANNALA_BRANDT")
-    known = ", ".join(["PINHOLE", "KANNALA_BRANDT", *UNSUPPORTED])
-    raise CalibrationError(f"{keys.path}: key model_type: unknown camera model {kind!r}; known are {known}")
+    return DepthCalibration(keys.text("depth_topic", "the depth camera's topic"), **limits)
 
 
 def _mask(keys: Keys, notes: list[str]) -> str:
@@ -144,6 +178,39 @@ def _mask(keys: Keys, notes: list[str]) -> str:
             return str(candidate)
     notes.append(f"fisheye: no mask {folder / named.name} there, the whole image is used")
     return ""
+
+
+# -- IMU ---------------------------------------------------------------------------------------------------------------
+
+
+def _noise(keys: Keys) -> ImuNoise:
+    return ImuNoise(
+        "discrete",
+        acc_n=keys.number("acc_n", "accelerometer noise in m/s^2", positive=True),
+        gyr_n=keys.number("gyr_n", "gyroscope noise in rad/s", positive=True),
+        acc_w=keys.number("acc_w", "accelerometer bias random walk", positive=True),
+        gyr_w=keys.number("gyr_w", "gyroscope bias random walk", positive=True),
+    )
+
+
+def _no_imu(keys: Keys) -> ImuNoise:
+    keys.used |= {"acc_n", "gyr_n", "acc_w", "gyr_w", "imu_topic", "estimate_td"}
+    return NO_IMU
+
+
+def _gravity(keys: Keys) -> float:
+    return keys.number("g_norm", "the norm of gravity in m/s^2, e.g. 9.81", positive=True)
+
+
+def _td(keys: Keys) -> float:
+    return keys.number("td", "the time offset in s with t_imu = t_image + td, 0.0 for synchronised sensors")
+
+
+# -- everything else ---------------------------------------------------------------------------------------------------
+
+
+def _is_on(keys: Keys, key: str) -> bool:
+    return key in keys and keys.integer(key, "0 or 1") != 0
 
 
 def _tuning(keys: Keys, notes: list[str]) -> dict[str, Any]:

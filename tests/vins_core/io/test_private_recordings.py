@@ -28,7 +28,7 @@ def test_packets_of_real_recordings(name: str, frames: int, images: int, lead_in
     path, recording = open_named(name)
     settings = read_calibration([path / "vins_mono.yaml"] if given else [], recording)
     found = list(packets(recording, settings.calibration, Params()))
-    assert len(found) == frames and sum(len(p.images) for p in found) == images
+    assert len(found) == frames and sum(len(p.pairs) for p in found) == images
     assert (found[0].t_ns - found[0].imu.t_ns[0]) * 1e-9 == pytest.approx(lead_in_s, abs=0.006)
     assert not any(p.anomalies for p in found)
     rows, columns = recording.load(found[5].images[-1]).shape

@@ -1,0 +1,122 @@
+"""Which sensors a run uses, which modes a recording and its calibration allow, and what is missing for the others."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from ..errors import CalibrationError, RecordingError
+from ..sensors import Calibration
+from .recording import Recording, Stream
+
+Mode = Literal["mono_imu", "stereo_imu", "stereo", "rgbd_imu"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+SUPPORTED: tuple[Mode, ...] = ("mono_imu",)
+"""Those that the estimator can run."""
+
+MIN_IMU_HZ = 50.0
+"""An IMU that comes more rarely says too little about the motion between its samples."""
+
+
+@dataclass(frozen=True)
+class ModeInfo:
+    mode: Mode
+    missing: tuple[str, ...]  # what stands in the way, a phrase each; empty: the mode is possible
+    gps: bool  # whether fixes can be fused on top
+
+
+def inspect_modes(recording: Recording, calibration: Calibration | None) -> tuple[ModeInfo, ...]:
+    """Every mode; without a calibration by the topics alone."""
+    gps = any(s.count for s in recording.of_role("gps"))
+    return tuple(ModeInfo(mode, _missing(recording, calibration, mode), gps) for mode in MODES)
+
+
+def restrict(calibration: Calibration, mode: Mode) -> Calibration:
+    """What a mode uses of a calibration."""
+    cameras = calibration.cameras[: 2 if mode.startswith("stereo") else 1]
+    if mode != "rgbd_imu":
+        cameras = tuple(dataclasses.replace(camera, depth=None) for camera in cameras)
+    return dataclasses.replace(calibration, cameras=cameras)
+
+
+def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibration, tuple[str, ...]]:
+    """A calibration for a run in `mode`, and a note for each thing in it that the run does not use.
+
+    Raises CalibrationError when the estimator cannot do without what is missing.
+    """
+    where = ", ".join(calibration.sources) or "the calibration"
+    if mode not in SUPPORTED or not calibration.has_imu:
+        raise CalibrationError(
+            f"{where}: has no IMU; cameras without an IMU are not supported yet, expected imu: 1 and its noise"
+            if not calibration.has_imu
+            else f"mode {mode} is not supported yet; expected one of {', '.join(SUPPORTED)}"
+        )
+    if calibration.extrinsics == "unknown" and np.array_equal(calibration.cameras[0].T_b_c, np.eye(4)):
+        raise CalibrationError(
+            f"{where}: estimate_extrinsic is 2; finding unknown extrinsics is not supported yet, give "
+            "extrinsicRotation and extrinsicTranslation"
+        )
+    notes = []
+    used = restrict(calibration, mode)
+    if len(calibration.cameras) > len(used.cameras):
+        names = ", ".join(camera.name for camera in calibration.cameras[len(used.cameras) :])
+        notes.append(f"{names}: stereo is not supported yet, {used.cameras[0].name} alone is used")
+    if calibration.cameras[0].depth:
+        notes.append(f"depth of {calibration.cameras[0].name}: depth images are not supported yet and not used")
+    if calibration.estimate_td:
+        notes.append("estimate_td: estimating td is not supported yet, the given value is used")
+    if calibration.extrinsics != "fixed":
+        notes.append("estimate_extrinsic: estimating the extrinsics is not supported yet, the given values are used")
+    if used.cameras[0].readout_s:
+        notes.append("rolling_shutter: rolling shutter is not supported yet, the image is taken as exposed at once")
+    return used, tuple(notes)
+
+
+def _missing(recording: Recording, calibration: Calibration | None, mode: Mode) -> tuple[str, ...]:
+    missing = []
+    if calibration is None:
+        missing.append("a calibration (--calib)")
+    if mode != "stereo":
+        missing += _missing_imu(recording.of_role("imu"), calibration)
+    needed = 2 if mode.startswith("stereo") else 1
+    images = len(recording.of_role("image"))
+    if images < needed:
+        missing.append("images" if images == 0 else "images of a second camera")
+    elif calibration and len(calibration.cameras) < needed:
+        missing.append("a second camera in the calibration")
+    if mode == "rgbd_imu":
+        if not recording.of_role("depth"):
+            missing.append("depth images")
+        elif calibration and calibration.cameras[0].depth is None:
+            missing.append("depth in the calibration")
+    missing += _missing_topics(recording, calibration, mode) if calibration and not missing else []
+    return tuple(missing)
+
+
+def _missing_imu(streams: tuple[Stream, ...], calibration: Calibration | None) -> list[str]:
+    if not streams:
+        return ["an IMU"]
+    rate_hz = max((s.rate_hz or 0.0 for s in streams), default=0.0)
+    if rate_hz < MIN_IMU_HZ:
+        return [f"an IMU of {MIN_IMU_HZ:g} Hz or more (it comes at {rate_hz:.3g} Hz)"]
+    if calibration and not calibration.has_imu:
+        return ["an IMU in the calibration"]
+    return []
+
+
+def _missing_topics(recording: Recording, calibration: Calibration, mode: Mode) -> list[str]:
+    """The first topic that the calibration names and the recording has not."""
+    before = recording.choice
+    recording.use(restrict(calibration, mode))
+    try:
+        _ = recording.image_topics
+        _ = recording.imu_topic if mode != "stereo" else None
+        _ = recording.depth_topic if mode == "rgbd_imu" else None
+    except RecordingError as error:
+        return [str(error).removeprefix(f"{recording.path}: ")]
+    finally:
+        recording.use(before)
+    return []
