@@ -143,7 +143,7 @@ def over_run(folder: Path, settings: list[str]) -> None:
     params = parameters.replace(Params(), dict(s.split("=", 1) for s in settings))
     with RunReader(folder) as run:
         keyframes, truth, state, describe_ms = keyframes_of(run, params)
-    T_true = _true_poses(keyframes, truth)
+    T_true = true_poses(keyframes, truth)
     reports, ms = [], []
     for keyframe in keyframes:
         t0 = time.perf_counter()
@@ -153,7 +153,7 @@ def over_run(folder: Path, settings: list[str]) -> None:
     _print_run(reports, T_true, describe_ms, ms, params.loop)
 
 
-def _true_poses(keyframes: list[LoopKeyframe], truth: Trajectory) -> np.ndarray:
+def true_poses(keyframes: list[LoopKeyframe], truth: Trajectory) -> np.ndarray:
     t_ns = np.array([k.t_ns for k in keyframes])
     i, j = associate(t_ns, truth.t_ns, max_dt_s=0.006)
     T = np.full((len(t_ns), 7), np.nan)
