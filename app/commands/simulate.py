@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 NAMES = (
     "room_loop, standstill, pure_rotation, constant_velocity, image_dropout, imu_gap, low_texture, td_offset, "
-    "wrong_extrinsic, rolling_shutter, motion_blur, fisheye"
+    "wrong_extrinsic, rolling_shutter, motion_blur, fisheye, level_camera, twin_rooms, building_first, building_second"
 )
 
 

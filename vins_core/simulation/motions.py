@@ -5,9 +5,12 @@ Angles follow the forward-left-up convention: yaw turns left, positive pitch loo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..geometry import so3
+from . import suite
 from .trajectory import Channels, attitude
 
 REST_S = 0.5  # every moving scenario starts at rest
@@ -15,6 +18,7 @@ RISE_S = 1.0  # and reaches its speed within this time
 LOOP_RADII_M = (2.4, 1.8)
 LOOP_PERIOD_S = 20.0
 HEIGHT_M = 1.5
+LAP_S, DOORWAY_S, CORRIDOR_S = 11.0, 3.0, 5.0  # in a room, through its doorway, along the corridor
 
 
 def switch_on(t_s: np.ndarray, start_s: float, rise_s: float) -> np.ndarray:
@@ -86,5 +90,49 @@ def constant_velocity(until_s: float, speed_m_s: float = 0.6) -> Channels:
         path[:, :4] = [-3.2, -2.8, HEIGHT_M, np.radians(60.0)]
         path[:, 0] += speed_m_s * (t_s - swinging + np.sin(rate * swinging) / rate)
         return path + switch_on(t_s, until_s, RISE_S)[:, None] * sway(t_s)
+
+    return channels
+
+
+def progress(t_s: np.ndarray, start_s: float, end_s: float, rise_s: float = RISE_S) -> np.ndarray:
+    """From 0 at `start_s` to 1 at `end_s`, at a steady rate but for soft ends."""
+    return (run_up(t_s, start_s, rise_s) - run_up(t_s, end_s - rise_s, rise_s)) / (end_s - rise_s - start_s)
+
+
+def rounds(
+    visits: Sequence[int], start_deg: float = 0.0, radius_m: float = 1.2, height_m: float = 1.4, start_s: float = REST_S
+) -> Channels:
+    """One lap in each of some rooms of a suite, looking inwards; between two of them out to the corridor and along it.
+
+    The first lap begins at `start_deg` and ends, like all of them, at the door.
+    """
+    laps: list[tuple[float, float, float]] = []
+    ways: list[tuple[float, int, int]] = []
+    t_s = start_s
+    for before, room in zip([None, *visits], visits):
+        if before is not None:
+            ways.append((t_s, before, room))
+            t_s += 2 * DOORWAY_S + CORRIDOR_S
+        turned_deg = 360.0 if laps else 360.0 - start_deg
+        laps.append((t_s, t_s + LAP_S * turned_deg / 360.0, np.radians(turned_deg)))
+        t_s = laps[-1][1]
+
+    def channels(t_s: np.ndarray) -> np.ndarray:
+        angle = np.radians(start_deg) + sum(turn * progress(t_s, *span) for *span, turn in laps)
+        position = np.tile(suite.centre_m(visits[0]), (len(t_s), 1))
+        position += radius_m * np.stack([np.cos(angle), np.sin(angle)], -1)
+        yaw = angle + np.pi
+        for t, before, room in ways:
+            out = progress(t_s, t, t + DOORWAY_S)
+            along = progress(t_s, t + DOORWAY_S, t + DOORWAY_S + CORRIDOR_S)
+            back = progress(t_s, t + DOORWAY_S + CORRIDOR_S, t + 2 * DOORWAY_S + CORRIDOR_S)
+            position[:, 0] += (suite.CORRIDOR_X_M - suite.ROOM_X_M - radius_m) * (out - back)
+            position[:, 1] += (room - before) * suite.PITCH_M * along
+            glance = progress(t_s, t + DOORWAY_S - 1.0, t + DOORWAY_S + 1.5)
+            glance -= progress(t_s, t + DOORWAY_S + CORRIDOR_S - 1.5, t + DOORWAY_S + CORRIDOR_S + 1.0)
+            yaw -= np.sign(room - before) * np.radians(55.0) * glance
+        gaze = np.stack([yaw, np.zeros_like(yaw), np.zeros_like(yaw)], -1)
+        path = np.column_stack([position, np.full(len(t_s), height_m), gaze])
+        return path + switch_on(t_s, start_s, RISE_S)[:, None] * sway(t_s)
 
     return channels

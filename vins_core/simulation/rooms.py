@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,6 +15,11 @@ WAINSCOT_M = 0.85
 SPLITS = ((0.6, 0.4), (0.5, 0.5), (0.45, 0.3, 0.25), (0.65, 0.35))  # of a column of pictures
 GAP_M = 0.18  # between them
 
+Rectangle = tuple[float, float, float, float]
+"""Left, top, width, height on a face, m."""
+Box = tuple[str, tuple[float, float], tuple[float, float, float], float, float]
+"""Kind, centre x y m, size m, yaw deg, height of the underside m."""
+
 
 def furnished(seed: int) -> World:
     """A room of 12 x 10 x 3.4 m centred on the origin, floor at z = 0; nothing stands within the loop's path."""
@@ -22,11 +27,11 @@ def furnished(seed: int) -> World:
     x, y, z = SIZE_M
     walls, pictures = [], 0
     for width in (y, y, x, x):
-        wall, pictures = _wall(rng, width, z, pictures)
+        wall, pictures = draw_wall(rng, width, z, pictures)
         walls.append(wall)
-    boxes = [_box(rng, *place) for place in BOXES]
-    floor = _floor(rng, x, y, boxes)
-    textures = (*walls, floor, _ceiling(rng, x, y))
+    boxes = [make_box(rng, *place) for place in BOXES]
+    floor = draw_floor(rng, x, y, boxes, RUGS)
+    textures = (*walls, floor, draw_ceiling(rng, x, y))
     return World(Solid(np.array([0.0, 0.0, z / 2]), SIZE_M, textures, hollow=True), tuple(boxes))
 
 
@@ -46,12 +51,12 @@ def bare(seed: int) -> World:
         faces.append(canvas)
     posters.frame(faces[1], 3.6, 1.1, 0.8, 0.6, 90)
     posters.landscape(faces[1], rng, 0, 3.6, 1.1, 0.8, 0.6)
-    textures = tuple(_lit(canvas).pixels for canvas in faces)
+    textures = tuple(lit(canvas).pixels for canvas in faces)
     return World(Solid(np.array([0.0, 0.0, z / 2]), SIZE_M, textures, hollow=True), ())
 
 
-# kind, centre x y m, size m, yaw deg, height of the underside m
-BOXES = (
+RUGS: tuple[Rectangle, ...] = ((4.2, 0.9, 2.6, 1.6), (8.2, 7.0, 2.2, 1.5), (1.0, 4.2, 1.5, 2.2), (9.6, 2.6, 1.4, 2.0))
+BOXES: tuple[Box, ...] = (
     ("cabinet", (-0.1, 0.1), (1.3, 0.8, 0.9), 15.0, 0.0),
     ("cardboard", (-0.35, 0.15), (0.5, 0.45, 0.4), 40.0, 0.9),
     ("crate", (0.25, 0.0), (0.45, 0.45, 0.45), 5.0, 0.9),
@@ -72,7 +77,7 @@ BOXES = (
 )
 
 
-def _wall(rng: np.random.Generator, width: float, height: float, pictures: int) -> tuple[np.ndarray, int]:
+def draw_wall(rng: np.random.Generator, width: float, height: float, pictures: int) -> tuple[np.ndarray, int]:
     """Columns of two or three pictures between the ceiling and the wainscot, numbered on from `pictures`."""
     canvas = Canvas(width, height, 188)
     canvas.mottle(rng, 5.0, 0.25)
@@ -91,7 +96,7 @@ def _wall(rng: np.random.Generator, width: float, height: float, pictures: int) 
             top += h + GAP_M
             pictures += 1
         left += w + rng.uniform(0.18, 0.3)
-    return _lit(canvas).pixels, pictures
+    return lit(canvas).pixels, pictures
 
 
 def _wainscot(canvas: Canvas, rng: np.random.Generator) -> None:
@@ -109,8 +114,10 @@ def _wainscot(canvas: Canvas, rng: np.random.Generator) -> None:
     canvas.rectangle(0, canvas.height_m - 0.12, canvas.width_m, 0.12, 60)
 
 
-def _floor(rng: np.random.Generator, width: float, height: float, boxes: list[Solid]) -> np.ndarray:
-    """Tiles, two rugs and the shadows of what stands on them."""
+def draw_floor(
+    rng: np.random.Generator, width: float, height: float, boxes: Sequence[Solid], rugs: Sequence[Rectangle]
+) -> np.ndarray:
+    """Tiles, rugs and the shadows of what stands on them; the face is centred on the origin."""
     side = 0.5
     canvas = Canvas(width, height, 80)
     for i in range(round(width / side)):
@@ -121,15 +128,15 @@ def _floor(rng: np.random.Generator, width: float, height: float, boxes: list[So
                 cx, cy, r = (i + 0.5) * side, (j + 0.5) * side, rng.uniform(0.06, 0.15)
                 canvas.polygon([(cx, cy - r), (cx + r, cy), (cx, cy + r), (cx - r, cy)], rng.choice([55, 225]))
     canvas.mottle(rng, 6.0, 0.12)
-    for x, y, w, h in ((4.2, 0.9, 2.6, 1.6), (8.2, 7.0, 2.2, 1.5), (1.0, 4.2, 1.5, 2.2), (9.6, 2.6, 1.4, 2.0)):
+    for x, y, w, h in rugs:
         canvas.rectangle(x, y, w, h, 45)
         canvas.rectangle(x + 0.08, y + 0.08, w - 0.16, h - 0.16, 215)
         posters.quilt(canvas, rng, 0, x + 0.16, y + 0.16, w - 0.32, h - 0.32)
     canvas.shade(_shadows(canvas, boxes))
-    return _lit(canvas).pixels
+    return lit(canvas).pixels
 
 
-def _shadows(floor: Canvas, boxes: list[Solid]) -> np.ndarray:
+def _shadows(floor: Canvas, boxes: Sequence[Solid]) -> np.ndarray:
     """Darker towards whatever stands on the floor."""
     right, down = floor.grid_m()
     x, y = right - floor.width_m / 2, floor.height_m / 2 - down
@@ -145,7 +152,7 @@ def _shadows(floor: Canvas, boxes: list[Solid]) -> np.ndarray:
     return light
 
 
-def _ceiling(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
+def draw_ceiling(rng: np.random.Generator, width: float, height: float) -> np.ndarray:
     """Panels, beams and lamps."""
     canvas = Canvas(width, height, 205)
     for x in np.arange(0.0, width, 1.25):
@@ -157,10 +164,10 @@ def _ceiling(rng: np.random.Generator, width: float, height: float) -> np.ndarra
             canvas.rectangle(x, y, 0.9, 0.35, 60)
             canvas.rectangle(x + 0.04, y + 0.04, 0.82, 0.27, 252)
     canvas.mottle(rng, 3.0, 0.3)
-    return _lit(canvas).pixels
+    return lit(canvas).pixels
 
 
-def _lit(canvas: Canvas) -> Canvas:
+def lit(canvas: Canvas) -> Canvas:
     """Less light towards the edges of a face, where walls meet."""
     x, y = canvas.grid_m()
     gap_x = np.minimum(x, canvas.width_m - x)
@@ -169,7 +176,7 @@ def _lit(canvas: Canvas) -> Canvas:
     return canvas
 
 
-def _box(
+def make_box(
     rng: np.random.Generator,
     kind: str,
     centre_m: tuple[float, float],

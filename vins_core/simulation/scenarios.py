@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry import se3, so3
 from ..geometry.kannala_brandt import KannalaBrandt
 from ..geometry.pinhole_radtan import PinholeRadtan
-from . import motions, rooms
+from . import motions, rooms, suite
 from .sensors import Exposure, Imu, Rig
 from .trajectory import Channels
 from .world import World
@@ -42,6 +42,11 @@ PINHOLE = Rig(
 FISHEYE = Rig(
     KannalaBrandt(360, 360, 110.0, 110.0, 179.2, 180.6, -0.012, 0.004, -0.003, 0.0006),
     _looking_forward(UPRIGHT_IMU, [0.03, -0.06, 0.01], 10.0, (-0.7, 0.9)),
+    UPRIGHT_IMU,
+)
+LEVEL = Rig(
+    PINHOLE.camera,
+    _looking_forward(UPRIGHT_IMU, [0.03, -0.06, 0.01], 0.0, (0.0, 0.0)),
     UPRIGHT_IMU,
 )
 
@@ -121,6 +126,32 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
         "fisheye": Scenario(
             "The room loop through a Kannala-Brandt camera of 190 degrees, with an IMU mounted x up.",
             rig=FISHEYE,
+        ),
+        "level_camera": Scenario(
+            "Two laps of the room loop with a camera that looks straight ahead and an IMU mounted x up, so that the "
+            "Euler pitch of the body stays near -90 degrees. All of the second lap has been seen before.",
+            rig=LEVEL,
+            duration_s=41.0,
+        ),
+        "twin_rooms": Scenario(
+            "A round in a room, out to the corridor, a round in the next room, which looks exactly the same, and back "
+            "for another round in the first. Loops exist within a room; none exists between the two.",
+            motion=lambda rig: motions.rounds((0, 1, 0)),
+            world=suite.twins,
+            duration_s=55.5,
+        ),
+        "building_first": Scenario(
+            "A round in each of two different rooms on one corridor: a map to come back to.",
+            motion=lambda rig: motions.rounds((0, 1)),
+            world=suite.different,
+            duration_s=34.0,
+        ),
+        "building_second": Scenario(
+            "The building of building_first when the seed is the same, entered in the other room and walked the other "
+            "way: a second session for its map.",
+            motion=lambda rig: motions.rounds((1, 0), start_deg=70.0, radius_m=1.35),
+            world=suite.different,
+            duration_s=32.0,
         ),
     }
 )
