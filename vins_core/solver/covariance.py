@@ -30,7 +30,7 @@ from .trust_region import gauge_damping
 class Covariances:
     """Marginal covariances; tangents as in `States`."""
 
-    poses: np.ndarray  # (n + places, 6, 6) dp in m, dtheta in rad (body side)
+    poses: np.ndarray  # (n, 6, 6) of the frames, dp in m, dtheta in rad (body side)
     speed_biases: np.ndarray  # (n, 9, 9) v, b_a, b_g
     inv_depths: np.ndarray  # (M,) variances, 1/m^2; NaN without information
     points_w: np.ndarray  # (M, 3) landmarks in the world, m
@@ -47,10 +47,7 @@ def covariances(problem: WindowProblem, states: States) -> Covariances | None:
     C = factor.inverse()
     of_poses, of_speed_biases = (
         C[at[:, :, None], at[:, None, :]]
-        for at in (
-            layout.columns("pose", np.arange(layout.n_poses)),
-            layout.columns("speed_bias", np.arange(layout.n_frames)),
-        )
+        for at in (layout.columns(kind, np.arange(layout.n_frames)) for kind in ("pose", "speed_bias"))
     )
     known = system.h > 0
     w = np.divide(system.W, system.h[:, None], out=np.full_like(system.W, np.nan), where=known[:, None])

@@ -143,8 +143,8 @@ def test_what_a_place_adds_is_information(flight):
     alone = replace(states, poses=states.poses[:n])
     before = covariances(plain.assembly.problem, alone)
     after = covariances(seen.assembly.problem, states)
-    assert len(before.poses) == n and len(after.poses) == n + 1
-    for a, b in zip(before.poses[1:], after.poses[1:n]):
+    assert before.poses.shape == after.poses.shape == (n, 6, 6)
+    for a, b in zip(before.poses[1:], after.poses[1:]):
         assert np.linalg.eigvalsh(a - b).min() > -1e-6 * np.linalg.eigvalsh(a).max()
 
 
