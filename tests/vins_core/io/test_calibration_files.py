@@ -143,7 +143,7 @@ def test_tuning_keys_become_valid_parameters(tmp_path: Path) -> None:
 
 
 def test_keys_that_change_nothing_are_noted_with_the_reason(tmp_path: Path) -> None:
-    notes = read(tmp_path, VINS_MONO + "estimate_extrinsic_typo: 2\nvisualize_imu_forward: 1\n").notes
+    notes = read(tmp_path, VINS_MONO + "estimate_extrinsic_typo: 2\nfast_relocalization: 0\nvisualize_imu_forward: 1\n").notes
     for said in (
         "max_solver_time is not used: a run never depends on the clock",
         "fast_relocalization is not used: `loop.relocalize` says how many",
