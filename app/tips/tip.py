@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .html import UNITS, Html, tag, text
+from ..html import UNITS, Html, tag, text
 
 
 @dataclass(frozen=True)
