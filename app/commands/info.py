@@ -2,26 +2,35 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .arguments import Json, Recording
+from .arguments import Calibrations, Json, Recording
 from .console import print_json, progress_bar
 
 if TYPE_CHECKING:
     from vins_core.io.inspect import RecordingInfo
+    from vins_core.io.modes import ModeInfo
 
 SHOWN = 20
 """Anomalies printed; JSON has more."""
 PIPED_WIDTH = 200
 
 
-def info(recording: Recording, /, json: Json = False) -> None:
-    """Show what is in a recording: topics, rates, gaps, anomalies."""
+def info(recording: Recording, /, calib: Calibrations = (), json: Json = False) -> None:
+    """Show what is in a recording: topics, rates, gaps, anomalies, and in which modes it can run."""
+    from vins_core.errors import VinspectError
+    from vins_core.io.calibration import read_calibration
     from vins_core.io.inspect import inspect
     from vins_core.io.recording import open_recording
     from vins_core.record.header import cpu_model, package_versions
     from vins_core.solver.backend import describe
 
     with open_recording(recording) as source, progress_bar(f"reading {recording.name}") as report:
-        found = inspect(source, report)
+        try:
+            calibration = read_calibration(calib, source).calibration
+        except VinspectError:
+            if calib:
+                raise
+            calibration = None  # what is in the recording can be told without
+        found = inspect(source, report, calibration)
     backend, why = describe()
     if json:
         machine = {"backend": backend, "backend_note": why, "cpu": cpu_model(), "versions": package_versions()}
@@ -57,7 +66,18 @@ def _print(found: RecordingInfo, backend: str) -> None:
         console.print(f"  {anomaly.kind}: {escape(anomaly.message)}", highlight=False, soft_wrap=True)
     if total > SHOWN:
         console.print(f"  and {total - SHOWN} more; see --json", highlight=False)
+    for mode in found.modes:
+        console.print(f"{mode.mode}: {_possible(mode)}", highlight=False, soft_wrap=True)
     console.print(f"back end: {escape(backend)}", highlight=False, soft_wrap=True)
+
+
+def _possible(mode: ModeInfo) -> str:
+    from vins_core.io.modes import SUPPORTED
+
+    if mode.missing:
+        return f"needs {' and '.join(mode.missing)}"
+    gps = ", GPS fixes are there" if mode.gps else ""
+    return f"possible{gps}" + ("" if mode.mode in SUPPORTED else "; not supported yet")
 
 
 def _number(value: float | None, digits: int) -> str:

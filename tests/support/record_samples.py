@@ -26,7 +26,17 @@ from vins_core.report import (
     TrackReport,
     WindowReport,
 )
-from vins_core.sensors import Calibration, CameraCalibration, ImageRef, ImuNoise, ImuSamples, Packet, Trajectory
+from vins_core.sensors import (
+    Calibration,
+    CameraCalibration,
+    DepthRef,
+    GpsFix,
+    ImageRef,
+    ImuNoise,
+    ImuSamples,
+    Packet,
+    Trajectory,
+)
 from vins_core.window.state import BlockKey, Landmarks, Observations, Prior, WindowFrame, WindowState
 
 T0 = 1_403_636_580_000_000_000
@@ -52,6 +62,13 @@ def truth(n: int = 50) -> Trajectory:
     return Trajectory(T0 + np.arange(n) * 5_000_000, rng.normal(size=(n, 3)), q / np.linalg.norm(q, axis=1)[:, None])
 
 
+def fixes(t_ns: int, count: int) -> tuple[GpsFix, ...]:
+    place = np.random.default_rng(count)
+    return tuple(
+        GpsFix(t_ns - i, *place.normal(size=3).tolist(), place.normal(size=(3, 3)), status=i - 1) for i in range(count)
+    )
+
+
 def pose(rng: np.random.Generator) -> PoseEstimate:
     return PoseEstimate(*(rng.normal(size=n) for n in (3, 4, 3, 3, 3)))
 
@@ -66,7 +83,7 @@ def frames(count: int, window: int = 11):
         t_ns = T0 + k * 100_000_000
         imu = ImuSamples(t_ns - np.arange(21)[::-1] * 5_000_000, rng.normal(size=(21, 3)), rng.normal(size=(21, 3)))
         images = tuple(ImageRef(t_ns - d, 0, 2 * k + 1 - i) for i, d in enumerate((50_000_000, 0)))
-        packet = Packet(k, images, imu)
+        packet = Packet(k, images, imu, gps=fixes(t_ns, k % 3), depths=(None, DepthRef(t_ns + 1, 0, k))[: 2 * (k % 2)])
         ids = np.sort(np.concatenate([rng.choice(ids, TRACKS - 10, replace=False), ids.max() + 1 + np.arange(10)]))
         seen = Observations(
             ids,

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 from ..sensors import Anomaly
 from .anomalies import StampWatch
+
+UNSYNCHRONIZED = "unsynchronized"
 
 
 class _Stamped(Protocol):
@@ -76,4 +79,34 @@ class Companions(Generic[T]):
         if not self._may_be_missing:
             limit_ms = self._tolerance_ns * 1e-6
             text = f"the image of {topic} at {t_ns} ns has none of {other} within {limit_ms:g} ms"
-            self._watch.found.append(Anomaly("unsynchronized", t_ns, topic, text))
+            self._watch.found.append(Anomaly(UNSYNCHRONIZED, t_ns, topic, text))
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    t_ns: int
+
+
+class PairWatch:
+    """Notes the images of two cameras that have no partner, from their stamps in the order of time."""
+
+    def __init__(self, left: str, right: str, tolerance_ns: int, offset_ns: int = 0) -> None:
+        self._left, self._right = left, right
+        self._companions: Companions[_Stamp] = Companions(left, StampWatch(right, None), tolerance_ns, offset_ns)
+        self._waiting: deque[int] = deque()
+
+    def see(self, t_ns: int, topic: str) -> None:
+        """Any message: what is not of the two cameras tells the time."""
+        self._companions.reach(t_ns)
+        if topic == self._right:
+            self._companions.add(_Stamp(t_ns))
+        elif topic == self._left and (not self._waiting or t_ns > self._waiting[-1]):
+            self._waiting.append(t_ns)
+        while self._waiting and self._companions.is_decided(self._waiting[0]):
+            self._companions.take(self._waiting.popleft())
+
+    def finish(self) -> list[Anomaly]:
+        """All that was noted, once every message has been seen."""
+        while self._waiting:
+            self._companions.take(self._waiting.popleft())
+        return [note for note in self._companions.take_notes() if note.kind == UNSYNCHRONIZED]

@@ -8,11 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ..sensors import Anomaly
+from ..errors import RecordingError
+from ..sensors import Anomaly, Calibration
 from .anomalies import ImuWatch, StampWatch, image_watch
+from .companions import PairWatch
 from .messages import ImuMessage
+from .modes import ModeInfo, inspect_modes
 from .recording import ImageStub, Recording, Stream
+from .sync import STEREO_TOLERANCE_NS
 
+READABLE = ("image", "imu", "gps", "truth", "depth")
 MAX_LISTED = 200
 """Anomalies listed of one kind on one topic; all are counted."""
 
@@ -42,6 +47,7 @@ class RecordingInfo:
     streams: tuple[StreamInfo, ...]
     anomalies: tuple[Anomaly, ...]
     counts: dict[str, int]  # anomalies of each kind, also those not listed
+    modes: tuple[ModeInfo, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -52,23 +58,32 @@ class RecordingInfo:
         return dataclasses.asdict(self) | {"duration_s": self.duration_s}
 
 
-def inspect(recording: Recording, progress: Callable[[float], None] | None = None) -> RecordingInfo:
-    """Read all stamps and IMU samples once.  `progress` gets the share that is done, about a hundred times."""
-    readable = {s.topic: s for s in recording.streams if s.count and s.role in ("image", "imu", "gps", "truth")}
+def inspect(
+    recording: Recording, progress: Callable[[float], None] | None = None, calibration: Calibration | None = None
+) -> RecordingInfo:
+    """Read all stamps and IMU samples once.  `progress` gets the share that is done, about a hundred times.
+
+    With a calibration of two cameras, images that have no partner are anomalies, too.
+    """
+    readable = {s.topic: s for s in recording.streams if s.count and s.role in READABLE}
     watches = {topic: _watch(stream) for topic, stream in readable.items()}
     total = sum(s.count for s in readable.values())
     bare: dict[str, list[ImageStub]] = {s.topic: [] for s in recording.of_role("image")}
+    pairs = _pairs(recording, calibration)
     for done, item in enumerate(recording.scan(list(readable))):
+        if pairs:
+            pairs.see(item.t_ns, item.topic)
         watch = watches[item.topic]
         if isinstance(watch, ImuWatch) and isinstance(item, ImuMessage):
             watch.see_sample(item)
         else:
             watch.see(item.t_ns)
-        if isinstance(item, ImageStub) and not bare[item.topic]:
+        if isinstance(item, ImageStub) and item.topic in bare and not bare[item.topic]:
             bare[item.topic].append(item)
         if progress and done % (total // 100 + 1) == 0:
             progress(done / total)
     found = [a for watch in watches.values() for a in watch.found] + _overlap(recording)
+    found += pairs.finish() if pairs else []
     found.sort(key=lambda a: a.t_ns)
     times = [t for s in recording.streams for t in (s.first_ns, s.last_ns) if t is not None]
     return RecordingInfo(
@@ -79,7 +94,20 @@ def inspect(recording: Recording, progress: Callable[[float], None] | None = Non
         tuple(_stream_info(recording, s, watches.get(s.topic), bare.get(s.topic, [])) for s in recording.streams),
         _first_of_each(found),
         dict(Counter(a.kind for a in found)),
+        inspect_modes(recording, calibration),
     )
+
+
+def _pairs(recording: Recording, calibration: Calibration | None) -> PairWatch | None:
+    if calibration is None or len(calibration.cameras) < 2:
+        return None
+    recording.use(calibration)
+    try:
+        left, right = recording.image_topics[:2]
+    except RecordingError:  # what is missing is told with the modes
+        return None
+    offset_ns = round((calibration.td_of(0) - calibration.td_of(1)) * 1e9)
+    return PairWatch(left, right, STEREO_TOLERANCE_NS, offset_ns)
 
 
 def _watch(stream: Stream) -> StampWatch:

@@ -96,7 +96,8 @@ class KittiRecording(Recording):
         """The accuracy that OXTS gives is taken as one sigma of each axis."""
         for t_ns, path in self._files[topic]:
             row = _oxts(path)
-            yield GpsMessage(t_ns, topic, row[0], row[1], row[2], np.eye(3) * row[23] ** 2)
+            latitude, longitude, altitude = row[:3].tolist()
+            yield GpsMessage(t_ns, topic, latitude, longitude, altitude, np.eye(3) * row[23] ** 2)
 
     def _truth(self, topic: str) -> Iterator[Item]:
         """East, north and up from the first fix; R_w_b = Rz(yaw) Ry(pitch) Rx(roll), yaw from east."""
