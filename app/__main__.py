@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 # numpy, scipy and OpenCV read these when they are first imported.  One thread: several are slower for matrices of
 # this size, and the order of additions, hence the last bits of a run, would depend on the machine.
@@ -42,7 +42,13 @@ def _parse_and_call(arguments: list[str]) -> None:
 
     program = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
-        program.command(name=name)(command)
+        if isinstance(command, Mapping):
+            group = tyro.extras.SubcommandApp()
+            for inner, inner_command in command.items():
+                group.command(name=inner)(inner_command)
+            program.command(group, name=name, help="Save the map of a run, or load one for another session.")
+        else:
+            program.command(name=name)(command)
     program.cli(
         prog="vinspect",
         description="A visual debugger for visual-inertial SLAM. Without arguments it opens the bundled sample.",

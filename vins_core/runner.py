@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from . import params as parameters
+from .errors import ParameterError
 from .io import modes
 from .io.calibration import read_calibration
 from .io.params_yaml import read_params
@@ -98,12 +99,25 @@ def _places(
     map_folder: PathLike | None,
 ) -> Places | None:
     if not params.loop.enabled:
+        if map_folder is not None or vocabulary is not None:
+            raise ParameterError("a map or a vocabulary serves loops, which are off; leave them out, or --loops on")
         return None
     if map_folder is not None:
+        if vocabulary is not None:
+            raise ParameterError("a map brings its own vocabulary; give either --map or --vocabulary")
         return load_map(Path(map_folder), camera)
     if vocabulary is not None:
         return read_places(camera, Path(vocabulary), Path(brief_pattern) if brief_pattern is not None else None)
+    if brief_pattern is not None:
+        raise ParameterError("a BRIEF pattern belongs to a vocabulary; give that too, with --vocabulary")
     return learn_places(camera, tuple(source.images()), source)
+
+
+def _without_places(params: Params, places: Places | None) -> tuple[str, ...]:
+    """A note for a run that was to close loops and cannot."""
+    if places is not None or not params.loop.enabled:
+        return ()
+    return ("the images show too little to learn a vocabulary from: no loops are closed",)
 
 
 def choose_parameters(

@@ -12,20 +12,26 @@ from .eval import evaluate
 from .export import export
 from .fork import fork
 from .info import info
+from .loops import loops
+from .map import load, save
 from .open import open_page
 from .run import run
 from .simulate import simulate
 
-COMMANDS: Mapping[str, Callable[..., Any]] = MappingProxyType(
+Command = Callable[..., Any]
+
+COMMANDS: Mapping[str, Command | Mapping[str, Command]] = MappingProxyType(
     {
         "open": open_page,
         "run": run,
         "info": info,
         "eval": evaluate,
+        "loops": loops,
         "fork": fork,
         "compare": compare,
         "export": export,
         "convert": convert,
         "simulate": simulate,
+        "map": {"save": save, "load": load},
     }
 )

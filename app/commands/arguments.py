@@ -60,3 +60,8 @@ ParamsFile = Annotated[
         help="YAML of changed parameters (section: {name: value}), winning over the calibration file's; --set wins",
     ),
 ]
+Loops = Annotated[Literal["on", "off"] | None, arg(help="close loops; on by default, like --set loop.enabled=...")]
+Trajectory = Annotated[
+    Literal["odometry", "optimized"],
+    arg(help="every frame as the odometry had it, or the keyframes with all loops closed"),
+]

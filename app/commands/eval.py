@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from .arguments import Json, Run
+from .arguments import Trajectory as Choice
 from .console import note, print_json
 
 if TYPE_CHECKING:
@@ -29,17 +30,18 @@ def evaluate(
     /,
     truth: Annotated[Path | None, arg(metavar="FILE", help="EuRoC csv or TUM; by default the recording's own")] = None,
     max_dt: Annotated[float, arg(metavar="S", help="a pose and its truth are at most this far apart")] = 0.006,
+    trajectory: Choice = "odometry",
     json: Json = False,
 ) -> None:
     """Compare a run with ground truth, in evo's numbers."""
     from dataclasses import asdict
 
-    from vins_core.evaluation.evaluate import evaluate, run_trajectory
+    from vins_core.evaluation.evaluate import evaluate
     from vins_core.record.recording import RunReader
 
     with RunReader(run) as reader:
         first_image_ns = reader.report(0).images[0].t_ns if len(reader) else None
-        found = evaluate(run_trajectory(reader.summaries), _truth(reader, truth), max_dt, first_image_ns)
+        found = evaluate(trajectory_of(reader, trajectory), _truth(reader, truth), max_dt, first_image_ns)
         if not found.poses:
             note(f"note: {run} has no poses: it never initialised")
     if json:
@@ -49,6 +51,14 @@ def evaluate(
         label, unit = LABELS[key]
         number = "-" if value is None else f"{value:.6g} {unit}".strip()
         print(f"{label:>28}  {number}")
+
+
+def trajectory_of(reader: RunReader, choice: Choice) -> Trajectory:
+    """The poses that are asked for."""
+    from vins_core.evaluation.evaluate import run_trajectory
+    from vins_core.mapping.conclusion import optimized_trajectory
+
+    return optimized_trajectory(reader) if choice == "optimized" else run_trajectory(reader.summaries)
 
 
 def _truth(reader: RunReader, file: Path | None) -> Trajectory:

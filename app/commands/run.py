@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from .arguments import BackendWish, Calibrations, ParamsFile, Recording, Settings
+from .arguments import BackendWish, Calibrations, Loops, ParamsFile, Recording, Settings
 from .console import note, progress_bar
 
 if TYPE_CHECKING:
@@ -23,6 +23,13 @@ def run(
     backend: BackendWish = "auto",
     params: ParamsFile = None,
     settings: Settings = (),
+    loops: Loops = None,
+    vocabulary: Annotated[
+        Path | None,
+        arg(metavar="FILE", help="DBoW2: brief_k10L6.bin or ORBvoc.txt; by default one trained on the images"),
+    ] = None,
+    brief_pattern: Annotated[Path | None, arg(metavar="FILE", help="brief_pattern.yml of a BRIEF vocabulary")] = None,
+    map: Annotated[Path | None, arg(metavar="MAP", help="a map to begin with, from `vinspect map save`")] = None,
 ) -> None:
     """Estimate a recording and record everything the estimator knew."""
     from vins_core.runner import run_recording
@@ -42,12 +49,15 @@ def run(
                 recording,
                 calib,
                 out=out,
-                settings=settings,
+                settings=(*settings, *([f"loop.enabled={loops}"] if loops else [])),
                 params_file=params,
                 start_s=start,
                 duration_s=duration,
                 embed_images=embed_images,
                 backend=backend,
+                vocabulary=vocabulary,
+                brief_pattern=brief_pattern,
+                map_folder=map,
                 progress=progress,
             )
         except KeyboardInterrupt:

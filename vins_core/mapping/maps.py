@@ -16,7 +16,7 @@ from ..loop.describe import BYTES, Brief, Describer, describer_named
 from ..loop.keyframe import LoopKeyframe
 from ..loop.vocabulary import Vocabulary
 from ..pose_graph.graph import PoseGraph
-from ..pose_graph.storage import load_map, save_map
+from ..pose_graph.storage import camera_of, load_map, save_map
 from ..record.codec import Blob, pack
 from ..sensors import CameraCalibration
 from .places import Places
@@ -61,6 +61,12 @@ def load(folder: Path, camera: CameraCalibration) -> Places:
     except (KeyError, ValueError, RunError, VocabularyError) as problem:
         raise MapError(f"the map {folder} is damaged: {problem}; save it again") from None
     return Places(camera, words.vocabulary, describer, tuple(keyframes), graph)
+
+
+def read(folder: Path) -> Places:
+    """A map by itself, seen with its own camera, whose place on the body it does not know.  Raises MapError."""
+    model = camera_of(folder)
+    return load(folder, CameraCalibration("cam0", model, np.eye(4)))
 
 
 def restart(places: Places) -> Places:

@@ -6,8 +6,9 @@ are kept.  `advance` does so bit by bit, a few milliseconds to 30 a keyframe, fo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from itertools import takewhile
 from threading import Lock
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from .. import params as parameters
 from ..errors import RunError
 from ..loop import rejudge
-from ..loop.keyframe import Keyframes
+from ..loop.keyframe import Keyframes, LoopKeyframe
 from ..loop.step import LoopState, Retrieved, detect_again, examine, retrieve
 from ..loop.verify import Pair, verify
 from ..params import DECLARATIONS, Loop, Params
@@ -100,6 +101,10 @@ class LoopStudy:
             self._follow()
             return tuple(self._rows)
 
+    def keyframe(self, number: int) -> LoopKeyframe:
+        """Points and pose of a keyframe, also of the map that the run began with."""
+        return self.run.keyframes[number]
+
     def report(self, keyframe: int, params: Params | None = None) -> LoopReport:
         """`detect(..., evaluate_all=True)` as of keyframe `keyframe`, by default with its own parameters.
 
@@ -134,15 +139,19 @@ class LoopStudy:
 
     def advance(self, n: int = 1) -> int:
         """Look into the next `n` keyframes that nobody has looked into; returns how many are left."""
-        self.rows()
-        missing = [row for row in self._own if row.number not in self._variant(self._params(row).loop)]
+        missing = [row for row in self._own_rows() if row.number not in self._variant(self._params(row).loop)]
         for row in missing[:n]:
             self._judgeable(self._params(row).loop, row)
         return len(missing) - min(n, len(missing))
 
+    def judged(self) -> Judged:
+        """The keyframes that `advance` has come to, as they were judged, with every gate and without matches."""
+        known = takewhile(lambda row: row.number in self._variant(self._params(row).loop), self._own_rows())
+        return self._judge(list(known), {}, 0)
+
     def funnel(self) -> tuple[FunnelStage, ...]:
         """Of what the run accepted, over the keyframes that `advance` has come to."""
-        return funnel(self._recorded(), self.truth, self.revisits())
+        return funnel(self.judged(), self.truth, self.revisits())
 
     def predict(
         self,
@@ -155,8 +164,7 @@ class LoopStudy:
 
         At slider speed for limits once `advance` is done; else what is missing is computed.  Raises ParameterError.
         """
-        self.rows()
-        rows = list(self._own)
+        rows = self._own_rows()
         if not self._prepare(rows, {}, at, progress, cancelled):
             return None
         answered, unanswered = _answerable(changes)
@@ -223,11 +231,16 @@ class LoopStudy:
                 self._own.append(row)
         self._frames_read = end
 
+    def _own_rows(self) -> list[LoopRow]:
+        with self._lock:
+            self._follow()
+            return list(self._own)
+
     def _row(self, keyframe: int) -> LoopRow:
-        self.rows()
-        if not self.first <= keyframe < self.first + len(self._own):
+        rows = self._own_rows()
+        if not self.first <= keyframe < self.first + len(rows):
             raise IndexError(f"{self.run.path} has no keyframe {keyframe}: its own are {self.first} and following")
-        return self._own[keyframe - self.first]
+        return rows[keyframe - self.first]
 
     def _params(self, row: LoopRow) -> Params:
         return self.run.header.params_at(row.made_in)
@@ -279,16 +292,6 @@ class LoopStudy:
         settings = (self._changed(row, changes, at) for row in rows)
         given = ((loop, self._judgeable(loop, row)) for loop, row in zip(settings, rows))
         return tuple(judge_run(given, self._places.vocabulary.limits, self._places.keyframes))
-
-    def _recorded(self) -> Iterator[LoopReport]:
-        """The keyframes so far that `advance` has come to, judged as they were."""
-        self.rows()
-        known = []
-        for row in self._own:
-            if row.number not in self._variant(self._params(row).loop):
-                break
-            known.append(row)
-        return iter(self._judge(known, {}, 0))
 
     def _variant(self, loop: Loop) -> dict[int, LoopReport]:
         """Reports that can be judged with any limits, as far as they depend on parameters."""

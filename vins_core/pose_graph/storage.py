@@ -19,8 +19,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..errors import MapError, OutputError, RunError
-from ..geometry.camera import CameraModel, camera_to_dict
+from ..errors import CalibrationError, MapError, OutputError, RunError
+from ..geometry.camera import CameraModel, camera_from_dict, camera_to_dict
 from ..record.codec import Blob, pack
 from .graph import PoseGraph, Session, extend, frozen
 
@@ -108,6 +108,14 @@ def load_map(folder: Path, camera: CameraModel) -> tuple[PoseGraph, dict[str, by
     if (len(graph), graph.n_loops, len(graph.sessions)) != (header.keyframes, header.loops, header.sessions):
         raise MapError(f"{where} holds other keyframes than {folder / HEADER} announces; save the map again")
     return graph, parts
+
+
+def camera_of(folder: Path) -> CameraModel:
+    """The camera that a map was made with.  Raises MapError."""
+    try:
+        return camera_from_dict(**_read_header(folder).camera)
+    except (CalibrationError, TypeError) as problem:
+        raise MapError(f"{folder / HEADER} describes no camera: {problem}; save the map again") from None
 
 
 def _contents(graph: PoseGraph) -> _Contents:
