@@ -138,7 +138,7 @@ class CameraCalibration:
     topic: str = ""
     mask: str = ""  # path of a fisheye mask image, white = usable
     td_s: float | None = None  # of this camera alone; None: that of the calibration
-    readout_s: float = 0.0  # rolling shutter: row v of `height` is exposed readout_s v / height after t_image + td
+    readout_s: float = 0.0  # rolling shutter: row v is exposed readout_s v / (height - 1) after t_image + td
     depth: DepthCalibration | None = None
 
 

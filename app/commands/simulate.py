@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 NAMES = (
     "room_loop, standstill, pure_rotation, constant_velocity, image_dropout, imu_gap, low_texture, td_offset, "
-    "wrong_extrinsic, rolling_shutter, motion_blur, fisheye, level_camera, twin_rooms, building_first, building_second"
+    "wrong_extrinsic, rolling_shutter, motion_blur, fisheye, level_camera, twin_rooms, building_first, "
+    "building_second, kb190_camera, mei_camera, scaramuzza_camera, rational_camera, stereo, td_20ms, "
+    "rolling_shutter_20ms, unknown_extrinsics"
 )
 
 
@@ -36,7 +38,7 @@ def simulate(
 
     cv2.setNumThreads(1)
     simulation = simulate(scenario, seed, duration)
-    images, done = len(simulation.image_t_ns), 0
+    images, done = len(simulation.image_t_ns) * len(simulation.calibration.cameras), 0
     with progress_bar(f"rendering {scenario}") as report:
 
         def messages() -> Iterator[Message]:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..geometry import se3, so3
-from ..geometry.kannala_brandt import KannalaBrandt
-from ..geometry.pinhole_radtan import PinholeRadtan
-from . import motions, rooms, suite
+from ..sensors import ExtrinsicKnowledge
+from . import lenses, motions, rooms, suite
 from .sensors import Exposure, Imu, Rig
 from .trajectory import Channels
 from .world import World
@@ -31,16 +30,22 @@ def _looking_forward(
     return se3.from_rotation_translation(R_b_c, np.array(p_b_c))
 
 
+def _beside(baseline_m: float, lean_deg: tuple[float, float, float]) -> np.ndarray:
+    """T_c0_c1 of a camera to the right of another, a little askew."""
+    R = so3.to_matrix(so3.exp(np.radians(lean_deg)))
+    return se3.from_rotation_translation(R, np.array([baseline_m, 0.002, -0.003]))
+
+
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 UPRIGHT_IMU = so3.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]))  # x up, as on EuRoC
 
 PINHOLE = Rig(
-    PinholeRadtan(376, 240, 229.0, 228.6, 185.2, 121.5, -0.283, 0.0740, 1.9e-4, 1.8e-5),
+    lenses.PINHOLE,
     _looking_forward(IDENTITY, [0.08, 0.02, 0.03], 10.0, (0.8, -0.6)),
     IDENTITY,
 )
 FISHEYE = Rig(
-    KannalaBrandt(360, 360, 110.0, 110.0, 179.2, 180.6, -0.012, 0.004, -0.003, 0.0006),
+    lenses.FISHEYE,
     _looking_forward(UPRIGHT_IMU, [0.03, -0.06, 0.01], 10.0, (-0.7, 0.9)),
     UPRIGHT_IMU,
 )
@@ -49,6 +54,7 @@ LEVEL = Rig(
     _looking_forward(UPRIGHT_IMU, [0.03, -0.06, 0.01], 0.0, (0.0, 0.0)),
     UPRIGHT_IMU,
 )
+STEREO = replace(PINHOLE, T_c0_c1=_beside(0.12, (0.5, -0.4, 0.3)))
 
 
 @dataclass(frozen=True)
@@ -66,6 +72,8 @@ class Scenario:
     imu_gaps: tuple[Interval, ...] = ()
     believed_td_s: float = 0.0  # what the calibration says
     believed_rotation_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of R_b_c, about the camera's axes
+    believed_extrinsics: ExtrinsicKnowledge = "fixed"  # "unknown": the calibration has the identity
+    estimate_td: bool = False  # what the calibration asks for
     parameters: Mapping[str, Any] = field(default_factory=lambda: {"frontend.min_dist": 15})  # images are small
 
 
@@ -152,6 +160,40 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             motion=lambda rig: motions.rounds((1, 0), start_deg=70.0, radius_m=1.35),
             world=suite.different,
             duration_s=32.0,
+        ),
+        "kb190_camera": Scenario(
+            "The room loop through a Kannala-Brandt camera of 190 degrees whose corners look behind, on the body of "
+            "the pinhole camera.",
+            rig=replace(PINHOLE, camera=lenses.KB_190),
+        ),
+        "mei_camera": Scenario(
+            "The room loop through a unified (MEI) camera of 140 degrees on the body of the pinhole camera.",
+            rig=replace(PINHOLE, camera=lenses.MEI),
+        ),
+        "scaramuzza_camera": Scenario(
+            "The room loop through a Scaramuzza camera of 120 degrees on the body of the pinhole camera.",
+            rig=replace(PINHOLE, camera=lenses.SCARAMUZZA),
+        ),
+        "rational_camera": Scenario(
+            "The room loop through a rational pinhole camera of 130 degrees on the body of the pinhole camera.",
+            rig=replace(PINHOLE, camera=lenses.RATIONAL),
+        ),
+        "stereo": Scenario(
+            "The room loop with a second camera 12 cm to the right; both take their images at once.",
+            rig=STEREO,
+        ),
+        "td_20ms": Scenario(
+            "The room loop with images stamped 20 ms early; the calibration says 0 and asks for td to be estimated.",
+            td_s=0.020,
+            estimate_td=True,
+        ),
+        "rolling_shutter_20ms": Scenario(
+            "The room loop with rows read one after another within 20 ms from the stamp on, as the calibration says.",
+            exposure=Exposure(readout_s=0.020, stamped_row=0.0),
+        ),
+        "unknown_extrinsics": Scenario(
+            "The room loop with a calibration that does not know how the camera is mounted.",
+            believed_extrinsics="unknown",
         ),
     }
 )

@@ -21,6 +21,12 @@ class Rig:
     camera: CameraModel
     T_b_c: np.ndarray  # (4, 4)
     q_f_b: np.ndarray  # (4,)
+    T_c0_c1: np.ndarray | None = None  # (4, 4) of a second camera of the same model
+
+    @property
+    def Ts_b_c(self) -> tuple[np.ndarray, ...]:
+        """(4, 4) of every camera."""
+        return (self.T_b_c,) if self.T_c0_c1 is None else (self.T_b_c, self.T_b_c @ self.T_c0_c1)
 
 
 EUROC_NOISE = ImuNoise("continuous", acc_n=2.0e-3, gyr_n=1.6968e-4, acc_w=3.0e-3, gyr_w=1.9393e-5)  # ADIS16448
@@ -40,7 +46,8 @@ class Exposure:
     noise_grey: float = 1.2  # standard deviation
     flicker: float = 0.03  # amplitude of the brightness, as a share
     exposure_s: float = 0.0  # motion blur over this time, centred on the stamp
-    readout_s: float = 0.0  # rolling shutter: first to last row, centred on the stamp
+    readout_s: float = 0.0  # rolling shutter: first to last row
+    stamped_row: float = 0.5  # the row that is exposed at the stamp, as a share: 0 first, 1 last
     jpeg_quality: int = 75
 
 
@@ -72,13 +79,15 @@ def sample_imu(
 
 
 def expose(
-    renderer: Renderer, motion: Motion, rig: Rig, t_s: float, exposure: Exposure, rng: np.random.Generator
+    renderer: Renderer, motion: Motion, T_b_c: np.ndarray, t_s: float, exposure: Exposure, rng: np.random.Generator
 ) -> np.ndarray:
-    """The image (rows, columns) uint8 that the camera takes at `t_s`."""
+    """The image (rows, columns) uint8 that a camera at `T_b_c` takes at `t_s`."""
     moments = np.array([0.0])
     if exposure.exposure_s > 0:
         moments = exposure.exposure_s * (np.arange(5) - 2.0) / 5
-    light = np.mean([renderer.render(_camera_poses(motion, rig, t_s + m, exposure)) for m in moments], 0)
+    light = np.mean(
+        [renderer.render(_camera_poses(motion, T_b_c, t_s + m, exposure, renderer.shape[0])) for m in moments], 0
+    )
     gain = 1.0 + exposure.flicker * (0.6 * np.sin(2 * np.pi * 0.23 * t_s) + 0.4 * np.sin(2 * np.pi * 3.1 * t_s + 1.0))
     noise = rng.standard_normal(light.shape, np.float32) * np.float32(exposure.noise_grey)
     return np.clip(light * gain + noise + 0.5, 0, 255).astype(np.uint8)
@@ -88,12 +97,11 @@ def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
-def _camera_poses(motion: Motion, rig: Rig, t_s: float, exposure: Exposure) -> np.ndarray:
+def _camera_poses(motion: Motion, T_b_c: np.ndarray, t_s: float, exposure: Exposure, rows: int) -> np.ndarray:
     """T_w_c (4, 4), or one a row (rows, 4, 4) under a rolling shutter."""
-    rows = rig.camera.height
     times = np.array([t_s])
     if exposure.readout_s > 0:
-        times = t_s + exposure.readout_s * (np.arange(rows) / (rows - 1) - 0.5)
+        times = t_s + exposure.readout_s * (np.arange(rows) / (rows - 1) - exposure.stamped_row)
     body = motion.at(times)
-    T_w_c = se3.from_quaternion_translation(body.q_w_b, body.p_w_b) @ rig.T_b_c
+    T_w_c = se3.from_quaternion_translation(body.q_w_b, body.p_w_b) @ T_b_c
     return T_w_c if exposure.readout_s > 0 else T_w_c[0]

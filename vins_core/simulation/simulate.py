@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,7 +23,7 @@ T0_NS = 1_700_000_000_000_000_000  # stamp of the first IMU sample
 LEAD_S = 0.1  # the IMU begins this long before the first image and ends as long after the last
 TRUTH_EVERY = 2  # IMU samples
 MAX_DURATION_S = 600.0
-IMAGE_TOPIC, IMU_TOPIC, TRUTH_TOPIC = "/cam0/image_raw", "/imu0", "/groundtruth"
+IMAGE_TOPICS, IMU_TOPIC, TRUTH_TOPIC = ("/cam0/image_raw", "/cam1/image_raw"), "/imu0", "/groundtruth"
 _IMU_STREAM, _IMAGE_STREAM = 10, 11  # of the seeded randomness
 
 
@@ -54,11 +54,12 @@ class Simulation:
         )
         return Settings(self.calibration, dict(self.scenario.parameters), (note,))
 
-    def image(self, index: int) -> np.ndarray:
+    def image(self, index: int, camera: int = 0) -> np.ndarray:
         """(rows, columns) uint8."""
         t_ns = int(self.image_t_ns[index]) - T0_NS + round(self.scenario.td_s * 1e9)
-        rng = np.random.default_rng([self.seed, _IMAGE_STREAM, t_ns])
-        return expose(self.renderer, self.motion, self.scenario.rig, t_ns * 1e-9, self.scenario.exposure, rng)
+        rng = np.random.default_rng([self.seed, _IMAGE_STREAM, t_ns, *([camera] if camera else [])])
+        T_b_c = self.scenario.rig.Ts_b_c[camera]
+        return expose(self.renderer, self.motion, T_b_c, t_ns * 1e-9, self.scenario.exposure, rng)
 
     def messages(self) -> Iterator[Message]:
         """Everything in the order of its stamps; at equal stamps truth, IMU, image."""
@@ -78,7 +79,9 @@ class Simulation:
     def _image_messages(self) -> Iterator[Message]:
         quality = self.scenario.exposure.jpeg_quality
         for index, t_ns in enumerate(self.image_t_ns.tolist()):
-            yield ImageMessage(t_ns, IMAGE_TOPIC, "jpeg", encode_jpeg(self.image(index), quality))
+            for camera in range(len(self.scenario.rig.Ts_b_c)):
+                data = encode_jpeg(self.image(index, camera), quality)
+                yield ImageMessage(t_ns, IMAGE_TOPICS[camera], "jpeg", data)
 
 
 def simulate(name: str, seed: int = 1, duration_s: float | None = None) -> Simulation:
@@ -128,7 +131,7 @@ def build(name: str, scenario: Scenario, seed: int = 1, duration_s: float | None
             biases.b_a_m_s2[every],
         ),
         image_t_ns + T0_NS,
-        _calibration(scenario, scenario.believed_td_s, scenario.believed_rotation_error_deg),
+        _believed(scenario),
         _calibration(scenario, scenario.td_s, (0.0, 0.0, 0.0)),
     )
 
@@ -144,8 +147,23 @@ def _outside(t_ns: np.ndarray, intervals: tuple[Interval, ...]) -> np.ndarray:
     return ~np.any(inside, axis=0) if inside else np.ones(len(t_ns), bool)
 
 
+def _believed(scenario: Scenario) -> Calibration:
+    """What the user has."""
+    calibration = _calibration(scenario, scenario.believed_td_s, scenario.believed_rotation_error_deg)
+    if scenario.believed_extrinsics == "unknown":
+        cameras = tuple(replace(camera, T_b_c=np.eye(4)) for camera in calibration.cameras)
+        calibration = replace(calibration, cameras=cameras)
+    return replace(calibration, estimate_td=scenario.estimate_td, extrinsics=scenario.believed_extrinsics)
+
+
 def _calibration(scenario: Scenario, td_s: float, rotation_error_deg: tuple[float, float, float]) -> Calibration:
-    T_b_c = scenario.rig.T_b_c.copy()
-    T_b_c[:3, :3] = T_b_c[:3, :3] @ so3.to_matrix(so3.exp(np.radians(rotation_error_deg)))
-    camera = CameraCalibration("cam0", scenario.rig.camera, T_b_c, IMAGE_TOPIC)
-    return Calibration((camera,), scenario.imu.noise, scenario.gravity_m_s2, td_s, IMU_TOPIC)
+    """`rotation_error_deg`: of each R_b_c.  A readout that is not stamped with its first row is not in there."""
+    error = np.eye(4)
+    error[:3, :3] = so3.to_matrix(so3.exp(np.radians(rotation_error_deg)))
+    exposure = scenario.exposure
+    readout_s = exposure.readout_s if exposure.stamped_row == 0.0 else 0.0
+    cameras = tuple(
+        CameraCalibration(f"cam{i}", scenario.rig.camera, T_b_c @ error, IMAGE_TOPICS[i], readout_s=readout_s)
+        for i, T_b_c in enumerate(scenario.rig.Ts_b_c)
+    )
+    return Calibration(cameras, scenario.imu.noise, scenario.gravity_m_s2, td_s, IMU_TOPIC)

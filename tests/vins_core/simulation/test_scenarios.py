@@ -2,11 +2,13 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
 from vins_core.errors import ParameterError
-from vins_core.geometry import so3
+from vins_core.geometry import se3, so3
+from vins_core.geometry.two_view import epipolar_angle
 from vins_core.io.messages import ImageMessage, ImuMessage, TruthMessage
 from vins_core.simulation import SCENARIOS, build, simulate
 from vins_core.simulation.simulate import T0_NS
@@ -102,13 +104,85 @@ def test_the_wrong_extrinsic_is_wrong_by_the_declared_angle():
     np.testing.assert_array_equal(believed[:3, 3], true[:3, 3])
 
 
-@pytest.mark.parametrize("name", sorted(set(SCENARIOS) - {"td_offset", "wrong_extrinsic"}))
+WRONG = {"td_offset", "td_20ms", "wrong_extrinsic", "unknown_extrinsics"}
+
+
+@pytest.mark.parametrize("name", sorted(set(SCENARIOS) - WRONG))
 def test_elsewhere_the_calibration_is_right(name):
     simulation = simulate(name, duration_s=0.4)
     believed, true = simulation.calibration, simulation.true_calibration
     np.testing.assert_array_equal(believed.cameras[0].T_b_c, true.cameras[0].T_b_c)
     assert believed.td_s == true.td_s
     assert believed.cameras[0].model == true.cameras[0].model
+
+
+def test_unknown_extrinsics_and_td_are_asked_for_and_not_told():
+    simulation = simulate("unknown_extrinsics", duration_s=0.4)
+    assert simulation.calibration.extrinsics == "unknown"
+    np.testing.assert_array_equal(simulation.calibration.cameras[0].T_b_c, np.eye(4))
+    assert not np.allclose(simulation.true_calibration.cameras[0].T_b_c, np.eye(4))
+    late = simulate("td_20ms", duration_s=0.4)
+    assert (late.calibration.estimate_td, late.calibration.td_s, late.true_calibration.td_s) == (True, 0.0, 0.020)
+
+
+@pytest.mark.parametrize("name", ["kb190_camera", "mei_camera", "scaramuzza_camera", "rational_camera", "stereo"])
+def test_a_twin_has_the_motion_and_the_imu_of_the_pinhole_camera(name):
+    twin, plain = simulate(name, 1, 1.0), simulate("room_loop", 1, 1.0)
+    np.testing.assert_array_equal(twin.imu.gyro_rad_s, plain.imu.gyro_rad_s)
+    np.testing.assert_array_equal(twin.imu.accel_m_s2, plain.imu.accel_m_s2)
+    np.testing.assert_array_equal(twin.image_t_ns, plain.image_t_ns)
+    np.testing.assert_array_equal(twin.truth.p_w_b, plain.truth.p_w_b)
+    np.testing.assert_array_equal(twin.calibration.cameras[0].T_b_c, plain.calibration.cameras[0].T_b_c)
+
+
+@pytest.mark.parametrize("name", ["kb190_camera", "mei_camera", "scaramuzza_camera", "rational_camera"])
+def test_through_another_lens_the_same_ray_shows_the_same_grey(name):
+    """Where both cameras look, the pinhole's image is found again at the twin's pixels."""
+    twin, plain = simulate(name, 1, 1.2), simulate("room_loop", 1, 1.2)
+    u, v = np.meshgrid(np.arange(40, 330, 3), np.arange(30, 210, 3))
+    uv = np.stack([u.ravel(), v.ravel()], -1).astype(float)
+    lens = twin.calibration.cameras[0].model
+    there = lens.project(plain.calibration.cameras[0].model.lift(uv))
+    blurred = [cv2.GaussianBlur(s.image(7), (0, 0), 2.0).astype(np.float32) for s in (plain, twin)]
+    ours = blurred[0][v.ravel(), u.ravel()]
+    theirs = cv2.remap(blurred[1], *there.astype(np.float32).reshape(-1, 1, 2).transpose(2, 0, 1), cv2.INTER_LINEAR)
+    assert np.isfinite(there).all()
+    assert np.corrcoef(ours, theirs.ravel())[0, 1] > 0.97
+
+
+def test_the_second_camera_takes_its_own_image_at_the_same_time():
+    simulation, plain = simulate("stereo", 1, 0.6), simulate("room_loop", 1, 0.6)
+    images = [m for m in simulation.messages() if isinstance(m, ImageMessage)]
+    assert [m.topic for m in images[:4]] == ["/cam0/image_raw", "/cam1/image_raw"] * 2
+    assert [m.t_ns for m in images[::2]] == [m.t_ns for m in images[1::2]]
+    np.testing.assert_array_equal(simulation.image(2), plain.image(2))
+    assert np.mean(simulation.image(2, 0) != simulation.image(2, 1)) > 0.5
+    left, right = simulation.calibration.cameras
+    assert np.linalg.norm(right.T_b_c[:3, 3] - left.T_b_c[:3, 3]) == pytest.approx(0.12, rel=1e-3)
+
+
+def test_a_point_of_the_room_is_where_both_cameras_say():
+    """A patch around a corner of the left image is found in the right one on its epipolar line."""
+    simulation = simulate("stereo", 1, 0.6)
+    left, right = (simulation.image(3, camera) for camera in (0, 1))
+    a, b = simulation.calibration.cameras
+    corners = cv2.goodFeaturesToTrack(left, 60, 0.05, 12)
+    found, ok, _ = cv2.calcOpticalFlowPyrLK(left, right, corners, None)
+    rays_a, rays_b = (c.model.lift(p[ok.ravel() > 0, 0].astype(float)) for c, p in ((a, corners), (b, found)))
+    T_a_b = se3.inverse(a.T_b_c) @ b.T_b_c
+    assert ok.sum() > 30 and np.median(epipolar_angle(T_a_b, rays_a, rays_b)) < 0.5 / 229
+
+
+def test_a_rolling_shutter_begins_at_its_stamp_when_the_calibration_says_so():
+    scenario = SCENARIOS["rolling_shutter_20ms"]
+    simulation = simulate("rolling_shutter_20ms", 1, 1.4)
+    assert simulation.calibration.cameras[0].readout_s == 0.020 == scenario.exposure.readout_s
+    exact = dataclasses.replace(scenario.exposure, noise_grey=0.0)
+    rolling = build("rolling", dataclasses.replace(scenario, exposure=exact), 1, 1.4)
+    flat = dataclasses.replace(exact, readout_s=0.0)
+    first = build("first", dataclasses.replace(scenario, exposure=flat), 1, 1.4)
+    images = [s.image(9).astype(int) for s in (rolling, first)]
+    assert np.abs(images[0][0] - images[1][0]).mean() < 1.0 < np.abs(images[0][-1] - images[1][-1]).mean()
 
 
 def test_imu_noise_and_biases_have_their_declared_sizes():
@@ -129,8 +203,6 @@ def test_imu_noise_and_biases_have_their_declared_sizes():
 
 
 def test_the_furnished_room_has_corners_everywhere_and_the_bare_one_has_not():
-    import cv2
-
     def strong_corners(name: str) -> np.ndarray:
         response = cv2.cornerMinEigenVal(simulate(name, duration_s=1.2).image(5), 3)
         thirds = [column for row in np.array_split(response, 3) for column in np.array_split(row, 3, axis=1)]
