@@ -45,16 +45,17 @@ def request(candidate: LoopCandidate, later: LoopKeyframe, earlier: LoopKeyframe
 def recheck(settings: params.Loop, found: RelocalizationReport) -> tuple[Gate, ...]:
     """The tests that PnP's pose had to pass, of the window's (R3): landmarks, error, covariance, heading, distance.
 
-    Without a pose of its own (too few landmarks took part) nothing is known and the first gate fails.
+    Where too few landmarks took part for a pose, all of them fail.
     """
     near = int(np.count_nonzero(found.error_px[1] <= settings.pnp_px))
     error_px, sigma_m, turned_deg, distance_m = None, None, None, None
-    if found.covariance is not None:
+    if np.isfinite(found.error_px_after):
         error_px = found.error_px_after
-        sigma_m = float(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]))
         T_w_query = poses.compose(found.T_w_match, found.T_match_query)
         turned_deg = float(np.degrees(np.abs(heading_difference(settings, T_w_query, found.T_w_match))))
         distance_m = float(np.linalg.norm(found.T_match_query[:3]))
+    if found.covariance is not None:
+        sigma_m = float(np.sqrt(np.linalg.eigvalsh(found.covariance[:3, :3])[-1]))
     return (
         gates.inliers(settings, near),
         gates.rms(settings, error_px),
