@@ -20,8 +20,8 @@ class Answers:
     """`refresh(*parts)` draws parts of the page again: KEYs of panels and "scene"."""
 
     def __init__(self, refresh: Callable[..., None]) -> None:
-        self.experiment = Experiment(lambda: refresh("what_if", "camera", "scene"))
-        self.comparer = Comparer(refresh)
+        self.experiment = Experiment(refresh)
+        self.comparer = Comparer(lambda: refresh("runs"))
         self.optimum = Optimum(lambda: refresh("inspect"))
         self.departure = Latest(departure_view, lambda: refresh("prior"))
         self.uncertainty = Latest(uncertainty, lambda: refresh("scene"))

@@ -122,9 +122,13 @@ class Page(msgspec.Struct, tag_field="k", tag="page"):
     canvas: int  # width of the 3D view
 
 
+class Painted(msgspec.Struct, tag_field="k", tag="painted"):
+    """What was sent last can be seen now."""
+
+
 Event = (
     Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
-    | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Link | Page
+    | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Link | Page | Painted
 )  # fmt: skip
 SCRIPTS = ("page.js", "knobs.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)

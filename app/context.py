@@ -22,8 +22,7 @@ In the page there is one helper object, `vi` (see browser.py), for html attribut
     onwheel='vi.wheel(event,this)' onpointermove='vi.pan(event)' ondblclick='vi.reset()'   zoom and pan of an image
 
 and CSS variables on the root: `--vi-x`, `--vi-y` (px) and `--vi-z` hold zoom and pan of the image, so that they
-survive new content; `--vi-head` is the shown frame's place in the run, 0..1, so that a playhead in a backdrop is
-`left: calc(var(--vi-head) * 100%)`.
+survive new content.  An element of class `vi-head` in a lane is moved to the shown frame's place in the run.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 A step is two messages: the panels, which the page shows as soon as they arrive, and after them the 3D view, for which
 the page has to draw a whole picture.  When only parts of the page have changed, each of them is a message of its own,
-in the order in which they were named.
+in the order in which they were named.  The page says when it has painted a message; the next one waits for that, so
+that nothing queues up in a slow page, and what is drawn next is what is wanted then.
 
 A new panel needs nothing here, unless it shows something that is not in the report: then `_context` hands it over.
 """
@@ -11,8 +12,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -32,8 +34,10 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("vinspect")
 
-SENT_S = 0.001
-"""Lets viser send what was drawn before the next piece is worked out."""
+PAINT_S = 0.5
+"""The page is not waited for any longer: it may be in the background."""
+SCENE_S = 0.2
+"""The 3D view may fall behind so much while frames are scrubbed."""
 SCENE = "scene"
 """Names the 3D view among the parts of the page; all others are KEYs of panels."""
 
@@ -47,6 +51,9 @@ class Drawing:
         self._parts: list[str] | None = None  # what is stale; None: everything
         self._busy = False
         self._wake = asyncio.Event()
+        self._paint = asyncio.Event()
+        self._answers = False  # the page says when it has painted
+        self._scene_s = 0.0  # when the 3D view was drawn
         self._closed = False
         self._fitted = 0  # poses that the viewpoint was chosen for; 0: none yet
         self._unit_m = 0.0
@@ -67,6 +74,11 @@ class Drawing:
             self._parts += [part for part in parts if part not in self._parts]
         self._stale = True
         self._wake.set()
+
+    def painted(self) -> None:
+        """The page shows what was sent."""
+        self._answers = True
+        self._paint.set()
 
     def fit(self) -> None:
         """Choose the viewpoint anew."""
@@ -122,13 +134,17 @@ class Drawing:
         ctx = self._context(run, k)
         session.workspace.name_view(f"run={session.opened.id}&frame={k}&layout={session.layout.name}")
         for panels in self._messages(parts):
+            self._paint.clear()
             with self._message():
-                for panel in panels:
-                    panel.render(ctx)
-            await asyncio.sleep(SENT_S)
-        if (parts is None or SCENE in parts) and session.cursor.run is run:
-            with self._message():
-                self._draw_scene(ctx)
+                changed = [panel.render(ctx) for panel in panels]
+            if self._answers and any(changed):
+                await self._until_painted()
+        if parts is None or SCENE in parts:
+            self._draw_scene(ctx)
+
+    async def _until_painted(self) -> None:
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._paint.wait(), PAINT_S)
 
     def _messages(self, parts: list[str] | None) -> Iterator[list[PanelView]]:
         """The panels to draw, by message."""
@@ -213,16 +229,23 @@ class Drawing:
         return SceneFrame(run, k, report, session.selection, thumbnail, passed, self._unit_m or scene_unit(report))
 
     def _draw_scene(self, ctx: PanelContext) -> None:
-        scene, answers = self._session.scene, self._session.answers
+        session, now = self._session, time.monotonic()
+        if self._closed or session.cursor.run is not ctx.run:
+            return
+        if session.cursor.want != ctx.frame and now < self._scene_s + SCENE_S:
+            self.refresh(SCENE)  # after the panels of the frame that is wanted by now
+            return
+        self._scene_s = now
         frame = self.scene_frame(ctx.frame)
         if frame is None:
             return
         solved = ctx.experiment.solved if ctx.experiment else None
-        known = answers.uncertainty.look(ctx.run, ctx.frame) if scene.shows("uncertainty") else None
+        known = session.answers.uncertainty.look(ctx.run, ctx.frame) if session.scene.shows("uncertainty") else None
         resolved = solved.after.window if solved else None
         frame = replace(frame, other=ctx.other, resolved=resolved, uncertainty=known)
-        scene.update(frame)
-        self._aim(frame)
+        with self._message():
+            session.scene.update(frame)
+            self._aim(frame)
 
     def _aim(self, frame: SceneFrame) -> None:
         """Move the viewpoint: behind the camera when following; else once, when there is something to see."""

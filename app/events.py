@@ -19,6 +19,7 @@ from .browser import (
     Load,
     Open,
     Page,
+    Painted,
     Pick,
     Play,
     Rename,
@@ -83,3 +84,5 @@ def handle(session: Session, event: Event) -> None:
             session.reproduce(run, frame, layout)
         case Page(panels, width, height, canvas):
             session.see(set(panels), (width, height), canvas)
+        case Painted():
+            session.drawing.painted()

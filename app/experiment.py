@@ -30,6 +30,8 @@ log = logging.getLogger("vinspect")
 
 SETTLE_S = 0.12
 """A frame is solved again once it has been looked at for so long."""
+BUSY_S = 0.1
+"""That a question is worked on is said once it takes so long: most answers come sooner."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +75,21 @@ class ExperimentView:
 
 
 class Experiment:
-    """The knobs of one tab.  `on_answer` is called in the event loop whenever there is something new to show."""
+    """The knobs of one tab.  `refresh` is called in the event loop with the parts of the page that have news."""
 
-    def __init__(self, on_answer: Callable[[], None]) -> None:
-        self._on_answer = on_answer
+    def __init__(self, refresh: Callable[..., None]) -> None:
+        self._refresh = refresh
         self._reference = self._params = Params()
         self._run: RunView | None = None
         self._revision = 0
         self._rerun: bool | None = None  # None: when a parameter of the front end is changed
         self._answer: Answer | None = None
+        self._tracked = False  # the last answer has tracks of its own, which the image shows
         self._asked: Question | None = None
         self._settled: tuple[RunView | None, int] = None, -1
         """The frame that was looked at long enough."""
         self._task: asyncio.Task[None] | None = None
+        self._excuse: asyncio.TimerHandle | None = None
         self._images: ImageSource | None = None
         self._opened = contextlib.ExitStack()
 
@@ -138,14 +142,33 @@ class Experiment:
 
     # -- answers -----------------------------------------------------------------------------------------------------
 
+    def ask(self, run: RunView, frame: int) -> None:
+        """Work on what these knobs would do to a frame; gates that can be judged at once are."""
+        self.use(run)
+        question = Question(run, frame, tuple(self.changes.items()), self.rerun)
+        if not question.changes or self._answered(question):
+            return
+        if run.gates.frames == len(run):
+            self._judge(question)
+        self._asked = question
+        if self._task is None:
+            self._task = asyncio.get_running_loop().create_task(self._work())
+
+    def show(self) -> None:
+        """The knobs have moved: draw what is known at once, that it is worked on only when that takes long."""
+        answer = self._answer
+        judged = answer.judged if answer and answer.question.changes == tuple(self.changes.items()) else None
+        if not self.changes or (judged is not None and judged.gates):
+            self._refresh("what_if")
+        elif self._excuse is None or self._excuse.when() < asyncio.get_running_loop().time():
+            self._excuse = asyncio.get_running_loop().call_later(BUSY_S, self._refresh, "what_if")
+
     def look(self, run: RunView, frame: int, *, asking: bool) -> ExperimentView:
         """What is known about a frame with these knobs; with `asking`, the rest is worked out."""
         self.use(run)
+        if asking:
+            self.ask(run, frame)
         question = Question(run, frame, tuple(self.changes.items()), self.rerun)
-        if asking and question.changes and run.gates.frames == len(run):
-            self._judge_now(question)
-        if asking and question.changes and not self._answered(question):
-            self._ask(question)
         view = ExperimentView(self._params, self._reference, self._revision, self.rerun)
         answer, busy = self._answer, self._task is not None and bool(question.changes) and not self._answered(question)
         if answer is None or answer.question.changes != question.changes:
@@ -167,45 +190,37 @@ class Experiment:
             self._task.cancel()
         self._opened.close()
 
-    def _ask(self, question: Question) -> None:
-        self._asked = question
-        if self._task is None:
-            self._task = asyncio.get_running_loop().create_task(self._work())
-
     async def _work(self) -> None:
         """Answer the latest question until there is none left."""
         try:
             while self._asked is not None and not self._answered(self._asked):
                 question = self._asked
-                await self._judge(question)
+                await self._read_gates(question.run)
+                if self._judge(question):
+                    self._refresh("what_if")
                 if (question.run, question.frame) != self._settled:
                     await asyncio.sleep(SETTLE_S)
                     if self._asked != question:
                         continue
                     self._settled = question.run, question.frame
-                self._tell(await asyncio.to_thread(self._solve, question, self._answer))
+                self._answer = await asyncio.to_thread(self._solve, question, self._answer)
+                before, self._tracked = self._tracked, question.rerun
+                self._refresh("what_if", *(["camera"] if before or self._tracked else []), "scene")
         finally:
             self._task = None
 
-    async def _judge(self, question: Question) -> None:
-        """Read the run's gates, as far as they are not known, and judge them again."""
-        while self._asked is not None and self._asked.run is question.run:
-            if not await asyncio.to_thread(question.run.read_gates):
-                break
-        if self._judge_now(question):
-            self._on_answer()
+    async def _read_gates(self, run: RunView) -> None:
+        """As far as they are not known."""
+        while run.gates.frames < len(run) and self._asked is not None and self._asked.run is run:
+            await asyncio.to_thread(run.read_gates)
 
-    def _judge_now(self, question: Question) -> bool:
-        """A few milliseconds; False when it was done already."""
+    def _judge(self, question: Question) -> bool:
+        """Judge the gates again, about a millisecond; False when it was done already."""
         answer = self._answer
         if answer is not None and answer.question.run is question.run and answer.question.changes == question.changes:
             return False
         self._answer = Answer(replace(question, frame=-1), question.run.gates.reevaluate(dict(question.changes)))
         return True
-
-    def _tell(self, answer: Answer) -> None:
-        self._answer = answer
-        self._on_answer()
 
     def _solve(self, question: Question, known: Answer | None) -> Answer:
         judged = known.judged if known is not None and known.question.changes == question.changes else None

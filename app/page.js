@@ -1,7 +1,7 @@
 // The page's half of the interface: sends events to the session, takes the arrow keys, zooms images, and says which
 // panels can be seen.  One object, `vi`; a page that reconnects gets a new bridge and keeps the rest.
 (() => {
-  const vi = (window.vi = window.vi || { sent: 0, x: 0, y: 0, z: 1, scrubbed: 0 });
+  const vi = (window.vi = window.vi || { sent: 0, x: 0, y: 0, z: 1 });
   if (vi.bridge === __BRIDGE__) return;
   vi.bridge = __BRIDGE__;
 
@@ -21,12 +21,28 @@
     link.sendMessage({ type: "GuiUpdateMessage", uuid: vi.bridge, updates: { value } });
   };
 
+  // Of many events the first is sent at once, then the newest every `rest` ms; the last one always is.
+  vi.paced = (rest) => {
+    let [newest, sent, timer] = [null, 0, 0];
+    const send = () => {
+      timer = 0;
+      sent = performance.now();
+      vi.send(newest);
+    };
+    return (event) => {
+      newest = event;
+      if (timer) return;
+      const wait = sent + rest - performance.now();
+      if (wait > 0) timer = setTimeout(send, wait);
+      else send();
+    };
+  };
+  const seek = vi.paced(33);
   vi.scrub = (e, el) => {
     if (e.type === "pointerdown") el.setPointerCapture(e.pointerId);
-    else if (!(e.buttons & 1) || performance.now() - vi.scrubbed < 33) return;
-    vi.scrubbed = performance.now();
+    else if (!(e.buttons & 1)) return;
     const box = el.getBoundingClientRect();
-    vi.send({ k: "seek", f: Math.min(1, Math.max(0, (e.clientX - box.left) / box.width)) });
+    seek({ k: "seek", f: Math.min(1, Math.max(0, (e.clientX - box.left) / box.width)) });
   };
 
   // The address names the view: it is asked for when a page opens, and follows it afterwards.  Ids, never paths.
@@ -94,12 +110,36 @@
     }
   };
   vi.asks();
-  clearInterval(vi.timer);
-  vi.timer = setInterval(vi.report, 200);
   vi.report();
 
   if (vi.listening) return;
   vi.listening = true;
+
+  // New html: playheads go to their place before it is painted, and the session is told when it is painted, so that
+  // it never sends more than the page can show.  A page in the background paints nothing.
+  vi.head = 0;
+  vi.painting = false;
+  const paint = (then) => (document.hidden ? setTimeout(then) : requestAnimationFrame(() => setTimeout(then)));
+  new MutationObserver((records) => {
+    const added = records.flatMap((record) => [...record.addedNodes]).filter((node) => node.nodeType === 1);
+    if (!added.some((node) => node.matches(".vi") || node.querySelector(".vi"))) return;
+    vi.head = added.findLast((node) => node.dataset.head)?.dataset.head ?? vi.head;
+    for (const el of document.querySelectorAll(".vi-head")) el.style.left = 100 * vi.head + "%";
+    if (vi.painting) return;
+    vi.painting = true;
+    paint(() => {
+      vi.painting = false;
+      vi.send({ k: "painted" });
+      vi.report();
+    });
+  }).observe(document.body, { childList: true, subtree: true });
+  let resized = 0;
+  const settle = () => {
+    clearTimeout(resized);
+    resized = setTimeout(vi.report, 120); // windows glide to their place
+  };
+  new ResizeObserver(settle).observe(document.querySelector("canvas")?.parentElement ?? document.body);
+  window.addEventListener("resize", settle);
 
   // What a name means, while the pointer rests on it.
   const tip = Object.assign(document.createElement("div"), { className: "vi-tip", hidden: true });
@@ -130,9 +170,22 @@
     },
     true,
   );
+  // While something is typed, too: it counts first.
+  window.addEventListener(
+    "keydown",
+    (e) => {
+      if (e.key !== "Enter" || !(e.ctrlKey || e.metaKey) || !e.target.closest?.(".vi input")) return;
+      e.preventDefault();
+      e.stopImmediatePropagation();
+      e.target.blur();
+      vi.send({ k: "fork" });
+    },
+    true,
+  );
   // A focused tab, slider, box or button would swallow the next key.
   document.addEventListener("click", (e) => {
     if (e.target.closest("[role=tab], [role=slider], [type=checkbox], button")) document.activeElement?.blur();
     setTimeout(vi.report, 30);
+    settle();
   });
 })();

@@ -38,31 +38,35 @@ class PanelView:
         self._content = ""
         self._body = gui.add_html(str(tag("div", cls="vi", data_vip=self.key)))
 
-    def render(self, ctx: PanelContext) -> None:
+    def render(self, ctx: PanelContext) -> bool:
+        """Whether there was anything to send."""
+        behind = False
         try:
             if self._backdrop is not None and self._backdrop_of != (of := self._depends(ctx)):
                 self._backdrop.content = str(self.module.backdrop(ctx))
-                self._backdrop_of = of
+                self._backdrop_of, behind = of, True
             content = str(self.module.render(ctx))
             if self._backdrop is not None:
                 content = playhead(ctx.frame, len(ctx.run)) + content
         except Exception as problem:  # a bug in one panel must not blank the others
             log.exception("panel %s, frame %d", self.key, ctx.frame)
             content = message(self.key, f"This panel failed at frame {ctx.frame} ({type(problem).__name__}).")
-        self._show(content)
+        return self._show(content) or behind
 
-    def say(self, sentence: str) -> None:
+    def say(self, sentence: str) -> bool:
         """One sentence instead of the panel."""
-        self._show(message(self.key, sentence))
+        return self._show(message(self.key, sentence))
 
     @property
     def content(self) -> str:
         """The html the page has now."""
         return self._content
 
-    def _show(self, content: str) -> None:
-        if content != self._content:
-            self._content = self._body.content = content
+    def _show(self, content: str) -> bool:
+        if content == self._content:
+            return False
+        self._content = self._body.content = content
+        return True
 
 
 def _of_run(ctx: PanelContext) -> object:
@@ -75,5 +79,5 @@ def message(key: str, sentence: str) -> str:
 
 
 def playhead(k: int, n: int) -> str:
-    """Moves the playheads in backdrops without sending the plots again."""
-    return f"<style>:root{{--vi-head:{k / max(n - 1, 1):.5f}!important}}</style>"
+    """Tells page.js where the playheads belong, so that plots are not sent again: 0..1."""
+    return str(tag("i", hidden="hidden", data_head=f"{k / max(n - 1, 1):.5f}"))

@@ -78,13 +78,18 @@ class OpenRun:
         told, self._told = self._told, (0 if self.view is None else len(self.view), self.growing, self.error)
         return told != self._told
 
+    @property
+    def map_behind(self) -> bool:
+        """The map of passed landmarks lacks frames."""
+        return self.view is not None and self.map.frames < len(self.view)
+
     def extend_map(self) -> bool:
         """Read a few more reports into the map of passed landmarks; False when it is complete."""
         if self.view is None:
             return False
         for k in range(self.map.frames, min(self.map.frames + MAP_SLICE, len(self.view))):
             self.map.extend(self.view.reader.report(k))
-        return self.map.frames < len(self.view)
+        return self.map_behind
 
     def close(self) -> None:
         """Stop the estimator, if it runs."""

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import io
 import logging
+import sys
 import threading
 import time
 import webbrowser
@@ -17,6 +18,7 @@ import viser
 
 from vins_core.errors import RecordingError
 
+from .drawing import SCENE
 from .layout import shipped_layouts, user_layouts
 from .places import shipped
 from .runs import OpenRun, open_path
@@ -26,6 +28,8 @@ from .store import RunStore
 log = logging.getLogger("vinspect")
 POLL_S = 0.25
 MAP_PAUSE_S = 0.01
+SWITCH_S = 0.0005
+"""After which a thread that computes lets the event loop have its turn; Python's 5 ms are felt in every step."""
 
 
 class Server:
@@ -33,6 +37,7 @@ class Server:
 
     def __init__(self, opened: OpenRun, host: str = "127.0.0.1", port: int = 8080) -> None:
         cv2.setNumThreads(1)  # more threads starve the event loop
+        sys.setswitchinterval(SWITCH_S)
         self.store = RunStore(opened)
         self._layouts = shipped_layouts()
         self.sessions: dict[int, Session] = {}
@@ -77,23 +82,29 @@ class Server:
         if session is not None:
             session.close()
 
-    def _shown(self) -> set[OpenRun]:
-        """The runs that some tab looks at."""
-        return {self.store.first, *(session.opened for session in self.sessions.values())}
-
     async def _poll(self) -> None:
-        behind = True  # the map of passed landmarks
         while True:
+            behind = False
             try:
-                changed, was_behind = self.store.poll(), behind
-                incomplete = [run.extend_map() for run in self._shown()]
-                behind = any(incomplete)
-                if changed or (was_behind and not behind):
-                    for session in self.sessions.values():
-                        session.refresh()
+                self._tell(self.store.poll())
+                behind = self._extend_maps()
             except Exception:
                 log.exception("the run could not be read further")
             await asyncio.sleep(MAP_PAUSE_S if behind else POLL_S)
+
+    def _tell(self, changed: set[OpenRun]) -> None:
+        if changed:
+            for session in self.sessions.values():
+                session.grown(changed)
+
+    def _extend_maps(self) -> bool:
+        """A slice of the maps of passed landmarks; True while some are not complete."""
+        shown = {self.store.first, *(session.opened for session in self.sessions.values())}
+        done = [run for run in shown if run.map_behind and not run.extend_map()]
+        for session in self.sessions.values():
+            if session.opened in done:
+                session.refresh(SCENE)
+        return any(run.map_behind for run in shown)
 
 
 def sample() -> tuple[Path, tuple[Path, ...]]:

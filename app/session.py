@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -44,6 +45,9 @@ from .workspace import Workspace
 
 log = logging.getLogger("vinspect")
 
+GROWN_S = 1.0
+"""Between two looks at runs that grow beside the one shown."""
+
 
 class Session:
     def __init__(self, client: viser.ClientHandle, runs: RunStore | OpenRun, layouts: list[Layout]) -> None:
@@ -58,6 +62,7 @@ class Session:
         self.prior_side = "after"
         self.fork_frames = 0
         """How many frames a fork computes; 0: to the end."""
+        self._grown_s = 0.0  # when growing runs were drawn
         self._tasks: set[asyncio.Task[None]] = set()
         self.answers = Answers(self.refresh)
         self.scene = SceneView(client)
@@ -89,6 +94,16 @@ class Session:
     def refresh(self, *parts: str) -> None:
         """See Drawing.refresh."""
         self.drawing.refresh(*parts)
+
+    def grown(self, runs: set[OpenRun]) -> None:
+        """The estimator has written more of these runs; those beside the one shown are drawn now and then."""
+        if self.opened in runs:
+            self.refresh()
+            return
+        now = time.monotonic()
+        if now >= self._grown_s + GROWN_S or not all(run.growing for run in runs):
+            self._grown_s = now
+            self.refresh("runs", *(("signals", SCENE) if self.other in runs else ()))
 
     def on_event(self, event: Event) -> None:
         handle(self, event)
@@ -212,7 +227,11 @@ class Session:
             self.experiment.set(key, value)
         except VinspectError as problem:
             self._tell(key, str(problem))
-        self.refresh("what_if")
+            self.refresh("what_if")
+            return
+        if self.cursor.run is not None and "what_if" in self.workspace.visible:
+            self.experiment.ask(self.cursor.run, self.cursor.want)
+            self.experiment.show()
 
     def reset_knobs(self) -> None:
         self.experiment.reset()

@@ -60,6 +60,7 @@ class RunStore:
         self.first = opened
         self._runs: list[OpenRun] = [opened]
         self._notes: dict[str, RunNotes] = {}
+        self._metrics: dict[OpenRun, tuple[int, tuple[int, float, float, float]]] = {}
         self._lock = threading.Lock()
 
     def __iter__(self) -> Iterator[OpenRun]:
@@ -68,10 +69,9 @@ class RunStore:
     def get(self, id: str) -> OpenRun | None:
         return next((run for run in self if id and run.id == id), None)
 
-    def poll(self) -> bool:
-        """Look at the runs that grow; True when a tab has something new to show."""
-        changed = [run.poll() for run in self if run is self.first or run.growing]
-        return any(changed)
+    def poll(self) -> set[OpenRun]:
+        """Look at the runs that grow; those of which a tab has something new to show."""
+        return {run for run in self if (run is self.first or run.growing) and run.poll()}
 
     def scan(self) -> None:
         """Open the runs in the user's cache that are not open yet; call it off the event loop."""
@@ -130,7 +130,7 @@ class RunStore:
         view = run.view
         header = view.header if view is not None else None
         notes = self.notes(run) if run.id else RunNotes()
-        poses, ate, cost, ms = metrics(view) if view is not None else (0, np.nan, np.nan, np.nan)
+        poses, ate, cost, ms = self._metrics_of(run)
         return RunEntry(
             id=run.id,
             name=self.name(run),
@@ -146,6 +146,16 @@ class RunStore:
             cost=cost,
             ms=ms,
         )
+
+    def _metrics_of(self, run: OpenRun) -> tuple[int, float, float, float]:
+        """Worked out again when the run has grown."""
+        view = run.view
+        if view is None:
+            return 0, np.nan, np.nan, np.nan
+        known = self._metrics.get(run)
+        if known is None or known[0] != len(view):
+            known = self._metrics[run] = len(view), metrics(view)
+        return known[1]
 
     def entries(self) -> tuple[RunEntry, ...]:
         """Every run; forks stand below the run they began as, oldest first."""

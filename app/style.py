@@ -1,7 +1,7 @@
 """The style sheet of the panels, installed once when a page opens.
 
-Class names start with `vi`.  The zoom of the camera image and the playhead are CSS variables on the root, so that
-they survive new content: `--vi-x`, `--vi-y` (px), `--vi-z`, `--vi-head` (0..1).
+Class names start with `vi`.  The zoom of the camera image stands in CSS variables on the root, so that it survives new
+content: `--vi-x`, `--vi-y` (px), `--vi-z`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ FONT = "Inter,-apple-system,'Segoe UI',Roboto,'Helvetica Neue','Liberation Sans'
 MONO = "'JetBrains Mono',Menlo,Consolas,'Liberation Mono','DejaVu Sans Mono',monospace"
 
 _BASE = f"""
-:root{{--vi-x:0px;--vi-y:0px;--vi-z:1;--vi-head:0}}
+:root{{--vi-x:0px;--vi-y:0px;--vi-z:1}}
 .vi{{font:12px/1.4 {FONT};font-variant-numeric:tabular-nums;color:{TEXT};padding:0 14px 8px 10px;letter-spacing:0}}
 .vi *,.vi-tip *{{box-sizing:border-box}}
 .vi b{{color:{STRONG};font-weight:600}}
@@ -152,8 +152,7 @@ _CAMERA = f"""
 
 _PLOTS = f"""
 .vi-lane{{position:relative;cursor:pointer;touch-action:none;contain:content;flex:1 1 auto;min-width:0}}
-.vi-head{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{SELECTION};pointer-events:none;
- left:calc(var(--vi-head)*100%)}}
+.vi-head{{position:absolute;top:0;bottom:0;width:2px;margin-left:-1px;background:{SELECTION};pointer-events:none}}
 .vi-plots{{display:flex;padding-bottom:0}}
 .vi-strip{{position:relative;background:{SUNKEN};border-radius:4px;overflow:hidden}}
 .vi-strip svg{{width:100%;height:100%}}

@@ -23,6 +23,8 @@ from vins_core.errors import VinspectError
 
 from .notes import read_notes
 
+NICENESS = 10
+"""An estimator takes the time that the page leaves it: stepping stays quick while a fork runs."""
 KEEP_RUNS = 10
 """Runs computed for the page are kept in the user's cache; older ones are removed."""
 
@@ -105,6 +107,8 @@ def _work(
     estimate: Estimate, recording: Path, calib: Sequence[Path], out: Path, flag: Event, sender: Connection
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal reaches the server, which cancels us
+    if hasattr(os, "nice"):  # not on Windows
+        os.nice(NICENESS)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported; see app.__main__
     server = os.getppid()
     try:

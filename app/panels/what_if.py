@@ -223,6 +223,7 @@ def _solved(ctx: PanelContext, seen: ExperimentView) -> Iterator[Html]:
     yield _costs(seen.effect)
     yield _residuals(solved, seen.effect)
     yield from _states(seen.effect)
+    yield from _prior(solved)
 
 
 def _front_end_box(seen: ExperimentView) -> Html:
@@ -361,6 +362,18 @@ def _states(effect: Effect) -> Iterator[Html]:
     yield heading("states of the window", text(("dashed ", tag("b", "pink", style=f"color:{FORK}"), " in 3D")))
     yield table(columns, rows)
     yield _landmarks(effect)
+
+
+def _prior(solved: WhatIf) -> Iterator[Html]:
+    """What marginalisation leaves behind: how much of it nothing has measured."""
+    a, b = solved.before.marginalization, solved.after.marginalization
+    if a is None or b is None or not len(a.eigenvalues) or not len(b.eigenvalues):
+        return
+    leaks = zip(("x", "y", "z", "yaw"), ("1/m²",) * 3 + ("1/rad²",), a.gauge_information, b.gauge_information)
+    rows = [_pair("rank", a.rank, b.rank, "margin.rank")]
+    rows += [_pair(f"known of {axis}", float(v), float(w), f"prior.{axis}", u) for axis, u, v, w in leaks]
+    yield heading("the new prior", tip="prior.leak")
+    yield _pairs("information", rows)
 
 
 def _landmarks(effect: Effect) -> Html:

@@ -15,6 +15,7 @@ from fake_reports import context, parse
 
 from app.context import RunView
 from app.experiment import Experiment, ExperimentView, parse_parameters
+from app.html import number
 from app.panels import camera, what_if
 from app.views import track_changes
 from vins_core.errors import ParameterError
@@ -28,9 +29,13 @@ def run(sample_run: Path) -> RunView:
     return RunView(RunReader(sample_run))
 
 
-def experiment(run: RunView, body: Callable[[Experiment], Coroutine[Any, Any, None]]) -> None:
+def experiment(
+    run: RunView,
+    body: Callable[[Experiment], Coroutine[Any, Any, None]],
+    refresh: Callable[..., None] = lambda *_: None,
+) -> None:
     async def main() -> None:
-        knobs = Experiment(lambda: None)
+        knobs = Experiment(refresh)
         knobs.use(run)
         await body(knobs)
         knobs.close()
@@ -112,6 +117,60 @@ def test_the_front_end_runs_again_when_one_of_its_parameters_moves(run: RunView)
         knobs.run_front_end(False)
         again = await answered(knobs, run)
         assert again.solved is not None and not again.solved.reran_frontend
+
+    experiment(run, body)
+
+
+def test_only_what_an_answer_changes_is_drawn_again(run: RunView) -> None:
+    drawn: list[tuple[str, ...]] = []
+
+    async def body(knobs: Experiment) -> None:
+        for key, value, parts in (
+            ("window.pixel_sigma", 2.0, {"what_if", "scene"}),
+            ("frontend.max_cnt", 60, {"what_if", "camera", "scene"}),  # other tracks in the image
+            ("frontend.max_cnt", None, {"what_if", "camera", "scene"}),  # and those gone again
+            ("window.pixel_sigma", 3.0, {"what_if", "scene"}),
+        ):
+            drawn.clear()
+            knobs.set(key, value)
+            await answered(knobs, run)
+            assert set().union(*drawn) == parts
+
+    experiment(run, body, lambda *parts: drawn.append(parts))
+
+
+def test_gates_are_drawn_at_once_and_before_the_solve(run: RunView) -> None:
+    drawn: list[tuple[str, ...]] = []
+
+    async def body(knobs: Experiment) -> None:
+        knobs.set("window.keyframe_parallax", 15.0)
+        await answered(knobs, run)  # the gates are read
+        drawn.clear()
+        knobs.set("window.keyframe_parallax", 20.0)
+        knobs.ask(run, FRAME)
+        knobs.show()
+        assert drawn == [("what_if",)]
+        view = knobs.look(run, FRAME, asking=False)
+        assert view.judged is not None and view.solved is None and view.busy
+        drawn.clear()
+        knobs.set("window.keyframe_parallax", None)
+        knobs.set("window.pixel_sigma", 4.0)  # no gate depends on it: its answer is what is waited for
+        knobs.ask(run, FRAME)
+        knobs.show()
+        assert drawn == []
+
+    experiment(run, body, lambda *parts: drawn.append(parts))
+
+
+def test_what_the_new_prior_would_know_of_the_gauge_stands_beside_what_it_knows(run: RunView) -> None:
+    async def body(knobs: Experiment) -> None:
+        knobs.set("marginalization.first_estimates", True)
+        view = await answered(knobs, run)
+        assert view.solved is not None and view.solved.after.marginalization is not None
+        leak = view.solved.after.marginalization.gauge_information[3]
+        assert leak != view.solved.before.marginalization.gauge_information[3]
+        page = shown(run, view)
+        assert "known of yaw" in page.text and number(float(leak)) in page.text
 
     experiment(run, body)
 

@@ -236,6 +236,6 @@ def test_a_backdrop_is_sent_once_and_the_playhead_moves_without_it(opened: OpenR
 
 
 def test_the_playhead_runs_from_0_to_1() -> None:
-    shares = [float(playhead(k, 60).partition("--vi-head:")[2].partition("!")[0]) for k in range(60)]
+    shares = [float(playhead(k, 60).partition('data-head="')[2].partition('"')[0]) for k in range(60)]
     np.testing.assert_allclose(shares, np.linspace(0, 1, 60), atol=1e-5)
-    assert "--vi-head:0.0" in playhead(0, 1)
+    assert 'data-head="0.0' in playhead(0, 1)
