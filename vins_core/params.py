@@ -427,8 +427,11 @@ class Gps:
     max_yaw_sigma_deg: Annotated[
         float,
         Range(0.01, 180),
-        Doc("standard deviation of the alignment's yaw, before fixes count (parity: 180)", "deg"),
-    ] = 1.0
+        Doc("standard deviation of the alignment's yaw from which fixes count at once (parity: 180)", "deg"),
+    ] = 0.4
+    full_yaw_sigma_deg: Annotated[
+        float, Range(0.01, 180), Doc("the same once the window is full of fixes, for slow bodies", "deg")
+    ] = 2.0
     min_used_share: Annotated[
         float,
         Range(0, 1),
