@@ -130,4 +130,7 @@ def _as_recorded(params: Loop, candidate: LoopCandidate) -> tuple[Gate, ...]:
 
 
 def _limited(params: Loop, gate: Gate) -> Gate:
-    return replace(gate, limit=getattr(params, gate.knob.split(".")[1]))
+    limit = getattr(params, gate.knob.partition(".")[2])
+    if limit == gate.limit:
+        return gate
+    return Gate(gate.name, gate.value, gate.op, limit, gate.knob, gate.unit, gate.decides)

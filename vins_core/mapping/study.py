@@ -88,10 +88,12 @@ class LoopStudy:
         self._own: list[LoopRow] = []  # those that were not left out
         self._frames_read = 0
         self._truth = np.zeros((0, 7))
+        self._truths: dict[tuple[int, int], Truth | None] = {}
         self._revisits: list[bool] = []
         self._facts: dict[int, Facts] = {}
         self._shortlists: dict[tuple[int, int], Shortlist] = {}
         self._evidence: dict[tuple[Any, ...], dict[tuple[int, int], LoopCandidate]] = {}
+        self._judged: Judged = ()
         self._variants: dict[Any, dict[int, LoopReport]] = {}
         self._reports = Recent(self._examine_all, KEEP_REPORTS)
 
@@ -122,8 +124,12 @@ class LoopStudy:
 
     def truth(self, query: int, match: int) -> Truth | None:
         """How two keyframes truly lie to each other; None without ground truth, and for those of an earlier map."""
-        known = self._true_poses()
-        return truth_of(known, query, match) if max(query, match) < len(known) else None
+        if (query, match) not in self._truths:
+            known = self._true_poses()
+            if max(query, match) >= len(known):
+                return None
+            self._truths[query, match] = truth_of(known, query, match)
+        return self._truths[query, match]
 
     def revisits(self) -> frozenset[int] | None:
         """Keyframes that truly revisit a place: within 1 m and 30 degrees of one more than `loop.min_gap` before."""
@@ -147,7 +153,7 @@ class LoopStudy:
     def judged(self) -> Judged:
         """The keyframes that `advance` has come to, as they were judged, with every gate and without matches."""
         known = takewhile(lambda row: row.number in self._variant(self._params(row).loop), self._own_rows())
-        return self._judge(list(known), {}, 0)
+        return self._as_recorded(list(known))
 
     def funnel(self) -> tuple[FunnelStage, ...]:
         """Of what the run accepted, over the keyframes that `advance` has come to."""
@@ -170,7 +176,7 @@ class LoopStudy:
         answered, unanswered = _answerable(changes)
         if not self._prepare(rows, answered, at, progress, cancelled):
             return None
-        before, after = self._judge(rows, {}, at), self._judge(rows, answered, at)
+        before, after = self._as_recorded(rows), self._judge(rows, answered, at)
         first = next((row for row, a, b in zip(rows, before, after) if counterfactual.differs(a, b)), None)
         was, would = (counterfactual.pairs(reports, self.truth) for reports in (before, after))
         feedback = any(self._params(row).loop.relocalize for row in rows)
@@ -292,6 +298,13 @@ class LoopStudy:
         settings = (self._changed(row, changes, at) for row in rows)
         given = ((loop, self._judgeable(loop, row)) for loop, row in zip(settings, rows))
         return tuple(judge_run(given, self._places.vocabulary.limits, self._places.keyframes))
+
+    def _as_recorded(self, rows: list[LoopRow]) -> Judged:
+        """The first rows, judged as they were."""
+        judged = self._judged
+        if len(judged) != len(rows):
+            self._judged = judged = self._judge(rows, {}, 0)
+        return judged
 
     def _variant(self, loop: Loop) -> dict[int, LoopReport]:
         """Reports that can be judged with any limits, as far as they depend on parameters."""
