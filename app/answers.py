@@ -10,7 +10,9 @@ from collections.abc import Callable
 
 from .comparison import Comparer
 from .experiment import Experiment
+from .graph import graph_view
 from .latest import Latest
+from .loops import Loops
 from .optimum import Optimum
 from .prior import departure_view
 from .uncertainty import uncertainty
@@ -23,9 +25,13 @@ class Answers:
         self.experiment = Experiment(refresh)
         self.comparer = Comparer(lambda: refresh("runs"))
         self.optimum = Optimum(lambda: refresh("inspect"))
+        self.loops = Loops(lambda: refresh("loops", "pair", "graph", "scene"))
+        self.graph = Latest(graph_view, lambda: refresh("graph", "scene"))
         self.departure = Latest(departure_view, lambda: refresh("prior"))
         self.uncertainty = Latest(uncertainty, lambda: refresh("scene"))
 
     def close(self) -> None:
-        for work in (self.experiment, self.comparer, self.optimum, self.departure, self.uncertainty):
+        for work in (
+            self.experiment, self.comparer, self.optimum, self.loops, self.graph, self.departure, self.uncertainty,
+        ):  # fmt: skip
             work.close()

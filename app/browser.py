@@ -38,9 +38,9 @@ class Play(msgspec.Struct, tag_field="k", tag="play"):
 
 
 class Pick(msgspec.Struct, tag_field="k", tag="pick"):
-    t: str  # "track" or "frame"
+    t: str  # "track", "frame" or "loop"
     i: int  # -1 clears
-    j: int = -1  # a second frame
+    j: int = -1  # a second frame, or the earlier keyframe of a loop; -1: the best there is
 
 
 class Knob(msgspec.Struct, tag_field="k", tag="knob"):
@@ -50,6 +50,22 @@ class Knob(msgspec.Struct, tag_field="k", tag="knob"):
 class Set(msgspec.Struct, tag_field="k", tag="set"):
     key: str  # "section.name" of a parameter
     v: bool | float | str | None  # None: as in the run
+
+
+class Apply(msgspec.Struct, tag_field="k", tag="apply"):
+    changes: dict[str, bool | float | str]  # knobs to move together
+
+
+class Loops(msgspec.Struct, tag_field="k", tag="loops"):
+    show: Literal["all", "accepted", "refused", "missed", "wrong", "gained", "lost"]  # rows of the table
+
+
+class Edge(msgspec.Struct, tag_field="k", tag="edge"):
+    """Switch an edge of the pose graph off or force it, and back; without keyframes, all as it was."""
+
+    do: Literal["disable", "force", "reset"]
+    i: int = -1  # the earlier keyframe
+    j: int = -1
 
 
 class Reset(msgspec.Struct, tag_field="k", tag="reset"):
@@ -74,7 +90,9 @@ class Span(msgspec.Struct, tag_field="k", tag="span"):
 
 
 class Fork(msgspec.Struct, tag_field="k", tag="fork"):
-    """Repeat the run from the frame shown with the knobs as they stand."""
+    """Repeat the run with the knobs as they stand."""
+
+    at: int = -1  # from this frame on; -1: from the one shown
 
 
 class Open(msgspec.Struct, tag_field="k", tag="open"):
@@ -128,9 +146,9 @@ class Painted(msgspec.Struct, tag_field="k", tag="painted"):
 
 Event = (
     Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
-    | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Link | Page | Painted
+    | Apply | Loops | Edge | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Link | Page | Painted
 )  # fmt: skip
-SCRIPTS = ("page.js", "knobs.js")
+SCRIPTS = ("page.js", "knobs.js", "loops.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 
 

@@ -6,6 +6,7 @@ A panel is a module in `app/panels` with
     ICON: str    name in `viser.Icon`
     KEY: str     names it in layouts; its html carries it once as `data-vip="KEY"`, so that only visible panels render
     render(ctx: PanelContext) -> str             html of this frame, a pure function
+    exists(run: RunView) -> bool                 optional: whether there is anything to show of a run at all
     backdrop(ctx: PanelContext) -> str           optional: html that depends only on the run, shown above `render`'s
                                                  and sent again only when the run grows
     backdrop_of(ctx: PanelContext) -> object     optional: what the backdrop depends on instead; sent when it changes
@@ -15,7 +16,8 @@ Text that comes from a file (topic, path, name) is escaped before it enters html
 In the page there is one helper object, `vi` (see browser.py), for html attributes:
 
     vi.send({k:'frame', i:12})                   go to a frame
-    vi.send({k:'pick', t:'track', i:57})         select ("track" or "frame"); i:-1 clears; j: a second frame
+    vi.send({k:'pick', t:'track', i:57})         select ("track", "frame" or "loop"); i:-1 clears; j: a second frame,
+                                                 or the earlier keyframe of a loop
     vi.send({k:'step', d:1, kf:false})           one frame on, or one keyframe
     vi.send({k:'knob', key:'window.loss'})       to the knob of a parameter, in the What-if panel
     onpointerdown/onpointermove='vi.scrub(event,this)'   seek by the pointer's share of the element's width
@@ -38,11 +40,14 @@ from vins_core.sensors import Trajectory
 from .series import RunSeries, run_series
 
 if TYPE_CHECKING:
+    from vins_core.mapping.study import LoopStudy
     from vins_core.record.recording import RunReader
     from vins_core.record.reevaluate import GateHistory
 
     from .comparison import OtherRun
     from .experiment import ExperimentView
+    from .graph import GraphView
+    from .loops import LoopsView
     from .optimum import OptimumView
     from .prior import DepartureView, PriorView
     from .store import RunEntry
@@ -55,9 +60,9 @@ GATE_SLICE = 50
 class Selection:
     """What the user picked: nothing, a track (and with it its landmark), or one or two frames of the window."""
 
-    kind: str = ""  # "" | "track" | "frame"
-    id: int = -1
-    other: int = -1  # a second frame, of a block of the prior that couples two
+    kind: str = ""  # "" | "track" | "frame" | "loop"
+    id: int = -1  # of the track or the frame; of a loop, its later keyframe
+    other: int = -1  # a second frame, of a block of the prior that couples two; of a loop, its earlier keyframe
 
     def is_track(self, id: int) -> bool:
         return self.kind == "track" and self.id == id
@@ -119,6 +124,18 @@ class RunView:
 
         return GateHistory()
 
+    @property
+    def loops(self) -> LoopStudy:
+        """The run's loops looked into on demand; RunError for a run without.  Safe in any thread."""
+        with self._reading:
+            return self._loops
+
+    @cached_property
+    def _loops(self) -> LoopStudy:
+        from vins_core.mapping.study import LoopStudy  # with it comes the estimator
+
+        return LoopStudy(self.reader)
+
     def read_gates(self, at_most: int = GATE_SLICE) -> int:
         """Take the gates of the next frames; returns how many frames are still missing.  Safe in any thread."""
         with self._reading:
@@ -146,4 +163,8 @@ class PanelContext:
     other: OtherRun | None = None  # the run compared with
     optimum: OptimumView | None = None  # what IPOPT said about this frame's window, when it was asked
     prior_side: str = "after"  # which matrix the Prior panel shows: "after" | "before" | "fill-in"
+    loops: LoopsView | None = None  # why loops close and do not; None for a run without
+    graph: GraphView | None = None  # the pose graph, once it is worked out
+    pair_uris: tuple[str, str] = ("", "")  # images of the two keyframes of `loops.pair`, the later first
+    pair_notes: tuple[str, str] = ("", "")  # why there is none
     departure: DepartureView | None = None  # what marginalisation started from, once it is worked out

@@ -63,7 +63,9 @@ class Controls:
             self._main.minimize()
 
     def list_layouts(self, layouts: Sequence[Layout]) -> None:
-        self._menu.options = [layout.title for layout in layouts]
+        titles = tuple(layout.title for layout in layouts)
+        if self._menu.options != titles:
+            self._menu.options = titles
 
     def show_layout(self, layout: Layout) -> None:
         set_value(self._menu, layout.title)
@@ -97,6 +99,8 @@ def add_commands(gui: viser.GuiApi, session: Session) -> None:
     add("Play or pause", "space", None, session.play)
     add("First frame", "home", None, lambda: session.go(0))
     add("Newest frame", "end", None, lambda: session.go(session.cursor.length - 1))
+    add("Next loop candidate", "N", None, lambda: session.step_loop(1))
+    add("Previous loop candidate", "N", "shift", lambda: session.step_loop(-1))
     add("Go to the worst cost", "G", None, session.go_to_worst)
     add("Follow the camera, on or off", "F", None, lambda: session.follow(not session.following))
     add("Show the whole run", "V", None, session.fit)

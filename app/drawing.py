@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from vins_core.sensors import ImageRef
 
 from .comparison import OtherRun
 from .context import PanelContext, RunView
+from .graph import GraphView
+from .loops import LoopsView, has_loops
 from .panel_view import PanelView
 from .prior import DepartureView
 from .scene.frame import SceneFrame, scene_unit
@@ -129,6 +131,8 @@ class Drawing:
             for panel in session.workspace.panels.values():
                 panel.say(opened.error or opened.doing or "This run has no frames.")
             return
+        if not session.workspace.suits(run):
+            session.use_layout(session.layout if session.offers(session.layout) else session.layouts[0])
         parts, self._parts = self._parts if k == self.shown else None, []
         self.shown = k
         ctx = self._context(run, k)
@@ -171,6 +175,9 @@ class Drawing:
         report = run.report(k)
         uri, note = self._image(report.images[-1])
         model = run.header.calibration.cameras[report.images[-1].camera].model
+        experiment = answers.experiment.look(run, k, asking="what_if" in visible)
+        loops = self._loops(run, k, experiment.changes)
+        pair = self._pair_images(run, loops)
         return PanelContext(
             run=run,
             frame=k,
@@ -184,13 +191,17 @@ class Drawing:
             playing=session.cursor.playing,
             progress=session.opened.error or session.opened.doing,
             signals=session.layout.signals,
-            experiment=answers.experiment.look(run, k, asking="what_if" in visible),
+            experiment=experiment,
             fork_frames=session.fork_frames,
             run_id=session.opened.id,
             runs=session.store.entries() if "runs" in visible else (),
             other=self.beside(run),
             optimum=answers.optimum.look(run, k),
             prior_side=session.prior_side,
+            loops=loops,
+            graph=self._graph(run, k),
+            pair_uris=(pair[0][0], pair[1][0]),
+            pair_notes=(pair[0][1], pair[1][1]),
             departure=self._departure(run, k),
         )
 
@@ -199,6 +210,23 @@ class Drawing:
         session = self._session
         other = session.other
         return None if other is None else session.answers.comparer.look(run, other, session.store.name(other))
+
+    def _loops(self, run: RunView, k: int, changes: dict[str, Any]) -> LoopsView | None:
+        session = self._session
+        asking = not session.workspace.visible.isdisjoint(("loops", "pair"))
+        return session.answers.loops.look(run, k, session.selection, changes, asking=asking)
+
+    def _graph(self, run: RunView, k: int) -> GraphView | None:
+        session = self._session
+        wanted = "graph" in session.workspace.visible or session.scene.shows("loops.graph")
+        return session.answers.graph.look(run, k, session.edits) if wanted and has_loops(run) else None
+
+    def _pair_images(self, run: RunView, loops: LoopsView | None) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Of the later keyframe and the earlier one, as `_image`."""
+        pair = loops.pair if loops is not None and "pair" in self._session.workspace.visible else None
+        rows = (pair.row, pair.earlier) if pair is not None else (None, None)
+        later, earlier = (self._image(run.report(row.frame).images[-1]) if row else ("", "") for row in rows)
+        return later, earlier
 
     def _departure(self, run: RunView, k: int) -> DepartureView | None:
         wanted = "prior" in self._session.workspace.visible and self._session.prior_side != "after"
@@ -242,7 +270,7 @@ class Drawing:
         solved = ctx.experiment.solved if ctx.experiment else None
         known = session.answers.uncertainty.look(ctx.run, ctx.frame) if session.scene.shows("uncertainty") else None
         resolved = solved.after.window if solved else None
-        frame = replace(frame, other=ctx.other, resolved=resolved, uncertainty=known)
+        frame = replace(frame, other=ctx.other, resolved=resolved, uncertainty=known, graph=ctx.graph, loops=ctx.loops)
         with self._message():
             session.scene.update(frame)
             self._aim(frame)

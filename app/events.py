@@ -7,8 +7,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from .browser import (
+    Apply,
     AskOptimum,
     Compare,
+    Edge,
     Event,
     Fork,
     FrontEnd,
@@ -17,6 +19,7 @@ from .browser import (
     Knob,
     Link,
     Load,
+    Loops,
     Open,
     Page,
     Painted,
@@ -50,6 +53,14 @@ def handle(session: Session, event: Event) -> None:
             session.play()
         case Pick("track" | "frame" as kind, id, other):
             session.select(Selection(kind, id, other) if id >= 0 else Selection())
+        case Pick("loop", query, match):
+            session.look_at_loop(query, match)
+        case Loops(show):
+            session.show_loops(show)
+        case Edge(do, earlier, later):
+            session.edit_edge(do, earlier, later)
+        case Apply(changes):
+            session.apply_knobs(changes)
         case Knob(key):
             session.explain(key)
         case Set(key, value):
@@ -64,8 +75,8 @@ def handle(session: Session, event: Event) -> None:
             session.load_parameters(text, name)
         case Span(frames):
             session.set_span(frames)
-        case Fork():
-            session.fork()
+        case Fork(at):
+            session.fork(at)
         case AskOptimum():
             session.ask_optimum()
         case Side(name):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
-from typing import Generic, TypeVar
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, TypeVar
 
 from vins_core.errors import VinspectError
 
@@ -18,20 +18,20 @@ SETTLE_S = 0.12
 
 
 class Latest(Generic[Answer]):
-    """`work(run, frame)` gives the answer; `on_answer` is called in the event loop when there is one."""
+    """`work(run, frame, ...)` gives the answer; `on_answer` is called in the event loop when there is one."""
 
-    def __init__(self, work: Callable[[RunView, int], Answer | None], on_answer: Callable[[], None]) -> None:
+    def __init__(self, work: Callable[..., Answer | None], on_answer: Callable[[], None]) -> None:
         self._work, self._on_answer = work, on_answer
-        self._asked: tuple[RunView, int] | None = None
-        self._done: tuple[RunView, int] | None = None
+        self._asked: tuple[Any, ...] | None = None
+        self._done: tuple[Any, ...] | None = None
         self._answer: Answer | None = None
         self._task: asyncio.Task[None] | None = None
 
-    def look(self, run: RunView, frame: int) -> Answer | None:
-        """The answer about this frame; while there is none, it is asked for."""
-        if self._done == (run, frame):
+    def look(self, run: RunView, frame: int, *more: Hashable) -> Answer | None:
+        """The answer about this frame and whatever else is asked; while there is none, it is asked for."""
+        if self._done == (run, frame, *more):
             return self._answer
-        self._asked = run, frame
+        self._asked = run, frame, *more
         if self._task is None:
             self._task = asyncio.get_running_loop().create_task(self._loop())
         return None

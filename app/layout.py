@@ -18,6 +18,8 @@ from vins_core.errors import OutputError, ParameterError
 from .places import shipped
 
 SCHEMA = "vinspect/layout@1"
+PAIR_IMAGES = 2.02
+"""Heights of the two images above each other, and of the gap between them."""
 CAMERA_CHROME_PX = 145
 """Height of what stands above and below the image in the camera's panel."""
 MAX_BYTES = 256 * 1024
@@ -50,6 +52,7 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     layers: dict[str, bool] = {}  # layers of the 3D view that differ from their default
     signals: tuple[str, ...] = ()  # empty: all
     camera: Literal["fit", "follow"] = "fit"
+    needs: Literal["", "loops"] = ""  # what a run must have for it
 
 
 class Placement(msgspec.Struct, frozen=True):
@@ -146,7 +149,10 @@ def _docked_widths(layout: Layout, page: tuple[int, int], image_aspect: float) -
             continue
         widths[name] = round(panel.width * page[0])
         if "camera" in panel.tabs:
-            stacked = 1 + sum(other.below == name for other in layout.panels.values())
-            fits = round((page[1] / stacked - CAMERA_CHROME_PX) * image_aspect)
+            stacked = (PAIR_IMAGES if panel.tabs[0] == "pair" else 1) + sum(
+                other.below == name for other in layout.panels.values()
+            )
+            chrome = CAMERA_CHROME_PX / (stacked if panel.tabs[0] == "pair" else 1)
+            fits = round((page[1] / stacked - chrome) * image_aspect)
             widths[name] = min(widths[name], max(fits, 320))
     return widths

@@ -53,6 +53,10 @@ class PanelView:
             content = message(self.key, f"This panel failed at frame {ctx.frame} ({type(problem).__name__}).")
         return self._show(content) or behind
 
+    def forget_backdrop(self) -> None:
+        """Draw it again next time."""
+        self._backdrop_of = None
+
     def say(self, sentence: str) -> bool:
         """One sentence instead of the panel."""
         return self._show(message(self.key, sentence))

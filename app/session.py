@@ -36,7 +36,9 @@ from .cursor import Cursor
 from .drawing import SCENE, Drawing
 from .events import handle
 from .experiment import Experiment, parse_parameters
+from .graph import Edits
 from .layout import Layout, save_layout
+from .loops import has_loops, next_candidate
 from .runs import OpenRun
 from .scene.pick import pick
 from .scene.view import TOGGLES, SceneView
@@ -60,6 +62,8 @@ class Session:
         self.selection = Selection()
         self.following = False
         self.prior_side = "after"
+        self.edits = Edits()
+        """Edges of the pose graph that the user switched off or forced."""
         self.fork_frames = 0
         """How many frames a fork computes; 0: to the end."""
         self._grown_s = 0.0  # when growing runs were drawn
@@ -178,14 +182,63 @@ class Session:
             key, f"{declared.doc}: {value} (default {declared.default}). To change it, run with --set {key}=VALUE"
         )
 
+    # -- loops -------------------------------------------------------------------------------------------------------
+
+    def look_at_loop(self, later: int, earlier: int = -1) -> None:
+        """Select two keyframes, or one and the best there is for it, and go to where the later one was judged."""
+        if self.cursor.run is None or later < 0:
+            self.select(Selection())
+            return
+        later, earlier = max(later, earlier), min(later, earlier)
+        loops = self.cursor.run.series.loops
+        there = np.flatnonzero(loops.keyframe == later)
+        if later == earlier or not len(there):
+            known = loops.keyframe[loops.keyframe >= 0]
+            own = f"its own are {known[0]} to {known[-1]}" if len(known) else "it has none yet"
+            self._tell("No such pair", f"This run has no keyframe {later} to hold against {earlier}; {own}.")
+            return
+        self.select(Selection("loop", later, earlier))
+        self.go(int(loops.frame[there[0]]))
+
+    def step_loop(self, by: int) -> None:
+        """To the next keyframe, or the previous one, for which an earlier one was looked at."""
+        if self.cursor.run is None or (there := next_candidate(self.cursor.run, self.cursor.want, by)) is None:
+            self._tell("No more loops", f"There is no {'later' if by > 0 else 'earlier'} candidate in this run.")
+            return
+        self.look_at_loop(there[1])
+
+    def show_loops(self, show: str) -> None:
+        """Narrow the table of loops."""
+        self.answers.loops.show = show
+        self.refresh("loops")
+
+    def edit_edge(self, do: str, earlier: int, later: int) -> None:
+        """Switch an edge of the pose graph off or force it, or back; nothing of the run changes."""
+        match do:
+            case "disable":
+                self.edits = self.edits.switched((earlier, later))
+            case "force":
+                self.edits = self.edits.pressed((earlier, later))
+            case _:
+                self.edits = Edits()
+        self.refresh("graph", SCENE)
+
     # -- layouts -----------------------------------------------------------------------------------------------------
 
+    def offers(self, layout: Layout) -> bool:
+        """Whether the run shown has what a layout is for."""
+        return not layout.needs or (self.cursor.run is not None and has_loops(self.cursor.run))
+
     def use_layout(self, layout: Layout) -> None:
+        if not self.offers(layout):
+            self._tell(layout.title, "This run closes no loops; make one with --loops on.")
+            return
         if (run := self.cursor.run) is not None:
             model = run.header.calibration.cameras[0].model
             self.workspace.image_aspect = model.width / model.height
         with self.client.atomic():
-            self.workspace.use(layout)
+            self.workspace.use(layout, self.cursor.run)
+            self.controls.list_layouts([x for x in self.layouts if self.offers(x)])
             for toggle in TOGGLES:
                 self.scene.show(toggle, self.workspace.draws(toggle))
             self.follow(layout.camera == "follow")
@@ -200,7 +253,6 @@ class Session:
             self._tell("Not saved", str(problem))
             return
         self.layouts = [x for x in self.layouts if x.name != saved.name] + [saved]
-        self.controls.list_layouts(self.layouts)
         self.use_layout(saved)
         self._tell("Layout saved", f"{saved.title} is in the menu from now on.")
 
@@ -229,9 +281,19 @@ class Session:
             self._tell(key, str(problem))
             self.refresh("what_if")
             return
+        self.workspace.forget_knobs()
         if self.cursor.run is not None and "what_if" in self.workspace.visible:
             self.experiment.ask(self.cursor.run, self.cursor.want)
             self.experiment.show()
+        self.refresh("loops", "pair")
+
+    def apply_knobs(self, changes: dict[str, bool | float | str]) -> None:
+        """Move several knobs at once."""
+        try:
+            self.experiment.load({**self.experiment.changes, **changes})
+        except VinspectError as problem:
+            self._tell("Not set", str(problem))
+        self.refresh()
 
     def reset_knobs(self) -> None:
         self.experiment.reset()
@@ -265,11 +327,11 @@ class Session:
         self.fork_frames = max(frames, 0)
         self.refresh("what_if")
 
-    def fork(self) -> None:
-        """Repeat the run from the frame shown with the knobs as they stand."""
+    def fork(self, at: int = -1) -> None:
+        """Repeat the run from a frame, by default the one shown, with the knobs as they stand."""
         if self.cursor.run is None:
             return
-        at, changes = self.cursor.want, self.experiment.changes
+        at, changes = at if at >= 0 else self.cursor.want, self.experiment.changes
         try:
             self.other = self.store.fork(self.opened, at, changes, self.fork_frames or None)
         except VinspectError as problem:

@@ -6,6 +6,8 @@ content: `--vi-x`, `--vi-y` (px), `--vi-z`.
 
 from __future__ import annotations
 
+from vins_core.report import MATCH_STAGES
+
 from .palette import (
     AGE_RAMP,
     BAD,
@@ -267,7 +269,56 @@ _MATRIX = f"""
  #8C2981,#DE4968,#FE9F6D,#FCFDBF)}}
 """
 
+_LOOPS = f"""
+.vi-funnel{{display:grid;gap:1px}}
+.vi-funnelrow{{display:grid;grid-template-columns:76px 1fr 112px;gap:8px;align-items:center;line-height:15px}}
+.vi-funnelbars{{display:flex;flex-direction:column;gap:1px}}
+.vi-funnelbars>div{{height:10px;border-radius:3px;overflow:hidden;min-width:1px}}
+.vi-funnelbars>div+div{{height:4px}} .vi-funnelbars>div:not(:only-child):first-child{{height:7px}}
+.vi-funnelbars i{{float:right;height:100%;background:repeating-linear-gradient(135deg,{BAD} 0 2px,transparent 2px 5px)}}
+.vi-funnelrow .vi-val{{display:flex;justify-content:space-between;gap:6px;white-space:nowrap}}
+.vi-places{{font-size:11px}}
+.vi-gatelines{{margin:4px 0}}
+.vi-gateline{{display:grid;grid-template-columns:14px minmax(96px,1.1fr) 74px minmax(70px,1fr) 84px;gap:0 8px;
+ align-items:center;border-bottom:1px solid #2B3038;min-height:19px}}
+.vi-gateline:last-child{{border:0}} .vi-gateline svg{{display:block}}
+.vi-gateline .vi-val{{text-align:right;color:{STRONG};font-weight:600;white-space:nowrap}}
+.vi-gateline .vi-val .vi-unit{{font-weight:400}}
+.vi-gateline .vi-meter{{height:10px}} .vi-gateline>span:last-child{{font-size:11px;color:{MUTED};white-space:nowrap}}
+.vi-gateline .vi-knob{{cursor:pointer;border-bottom:1px dotted {MUTED}}} .vi-gateline .vi-knob:hover{{color:{ESTIMATE}}}
+.vi-gateline.vi-failed{{background:#2E1D18}} .vi-gateline.vi-aside{{opacity:.55}}
+.vi-outcome.vi-remedy{{border-left-color:{SELECTION};background:#2B2A17;color:{TEXT}}}
+.vi-remedy b{{color:{SELECTION}}} .vi-remedy .vi-button{{height:20px;padding:0 6px;margin-left:4px}}
+.vi-ask{{display:flex;gap:6px;align-items:center;margin:7px 0 0;white-space:nowrap;overflow:hidden}}
+.vi input[type=number]{{font:12px/1.3 {FONT};color:{TEXT};background:{RAISED};border:1px solid #454C57;
+ border-radius:4px;appearance:textfield}}
+.vi .vi-ask input.vi-num{{width:62px;height:23px}} .vi-ask .vi-button{{height:23px}}
+.vi-loopknobs{{max-height:32vh;margin-top:8px}} .vi-loopknobs summary{{border:0}}
+.vi-listed .vi-wrong .vi-link{{color:{BAD}}} .vi-forked{{color:{FORK}}}
+.vi-tabs{{display:inline-flex;gap:2px}} .vi-tab{{font:11px/1.2 {FONT};color:{TEXT};background:none;border:0;
+ border-radius:4px;padding:2px 6px;cursor:pointer}} .vi-tab:hover{{background:{RAISED}}}
+.vi-tab.vi-on{{background:#14364A;color:{STRONG}}}
+.vi-errors{{display:grid;grid-template-columns:max-content 1fr max-content;gap:2px 10px;align-items:center}}
+.vi-weight{{display:grid;grid-template-columns:1fr 30px;gap:6px;align-items:center}}
+.vi-weight .vi-bar{{min-width:30px}}
+.vi-candidates .vi-chip{{padding:0 6px}}
+.vi-both img{{inset:auto;left:0;right:0}}
+.vi-corner{{position:absolute;left:8px;margin-top:6px;z-index:1;pointer-events:none;
+ text-shadow:0 0 4px #000,0 0 2px #000;font-size:13px;transform-origin:0 0;transform:scale(calc(1/var(--vi-z)))}}
+.vi-zoom .vi-match{{cursor:help}} .vi-match .l{{opacity:.8;--s:1.3px;pointer-events:stroke}}
+.vi-match circle{{--r:2.8px;--s:1px}} .vi-match .e,.vi-match .r,.vi-loose .l{{display:none}}
+.vi-match:hover .e,.vi-match:hover .r,.vi-loose:hover .l{{display:inline}}
+.vi-match:hover{{stroke:{SELECTION}}} .vi-match:hover .l{{--s:2.4px;opacity:1}}
+.vi-match .e{{stroke:{SELECTION};stroke-dasharray:2 3;opacity:.9}}
+.vi-match .r{{stroke:#FFFFFF;fill:none;--r:5px;--s:1.6px;opacity:1}}
+.vi-fate{{cursor:pointer}} .vi-fate:hover{{color:{STRONG}}}
+"""
+_FATES = "".join(
+    f":root.vi-hide-{k} .vi-match-{k}{{display:none}}:root.vi-hide-{k} .vi-fate-{k}{{opacity:.4}}"
+    for k in range(len(MATCH_STAGES))
+)
+
 FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
 """Colours of the three factor types, wherever a cost is split."""
 
-CSS = "".join((_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _MATRIX, _TIPS))
+CSS = "".join((_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _MATRIX, _LOOPS, _FATES, _TIPS))

@@ -8,6 +8,7 @@ import msgspec
 import viser
 
 from .browser import Bridge
+from .context import RunView
 from .controls import set_value
 from .html import tag
 from .layout import Layout, Panel, Placement, canvas_width, place
@@ -27,6 +28,7 @@ class Workspace:
         self._windows: dict[str, viser.PanelHandle] = {}
         self._link: viser.GuiHtmlHandle | None = None
         self.layout = layout
+        self._offered: set[str] = set()
         self.panels: dict[str, PanelView] = {}
         self.boxes: dict[str, viser.GuiCheckboxHandle] = {}
         """The checkboxes of the 3D view's layers."""
@@ -37,19 +39,24 @@ class Workspace:
         """Width of the 3D view, px."""
         self.image_aspect = 1.5
 
-    def use(self, layout: Layout) -> None:
-        """Build the panels of a layout in place of those that are there."""
-        self.layout = layout
+    def use(self, layout: Layout, run: RunView | None) -> None:
+        """Build the panels of a layout in place of those that are there, those of which the run has something."""
+        self.layout, self._offered = layout, offered(run)
         for window in self._windows.values():
             window.remove()
         self.panels, self._windows, self.boxes = {}, {}, {}
         for name, spec in layout.panels.items():
             window = self._windows[name] = self._client.gui.add_panel()
             for key in spec.tabs:
-                self._add_tab(window, key)
+                if key == "layers" or key in self._offered:
+                    self._add_tab(window, key)
         self.place()
         for toggle, box in self.boxes.items():
             set_value(box, self.draws(toggle))
+
+    def suits(self, run: RunView) -> bool:
+        """Whether the panels built are those of which this run has something."""
+        return self._offered == offered(run)
 
     def draws(self, toggle: str) -> bool:
         """Whether the layout wants a layer of the 3D view."""
@@ -60,6 +67,12 @@ class Workspace:
         layers = {toggle: box.value for toggle, box in self.boxes.items()} or self.layout.layers
         panels = {name: shown_first(spec, self.visible) for name, spec in self.layout.panels.items()}
         return msgspec.structs.replace(self.layout, panels=panels, layers=layers, camera=camera)
+
+    def forget_knobs(self) -> None:
+        """A knob was moved: panels that cannot be seen now draw theirs again when they can."""
+        for key, panel in self.panels.items():
+            if key not in self.visible:
+                panel.forget_backdrop()
 
     def name_view(self, link: str) -> None:
         """Let the page's address say what is shown."""
@@ -102,9 +115,7 @@ class Workspace:
                 for toggle, title in TOGGLES.items():
                     self._add_layer_box(toggle, title)
             return
-        module = PANELS.get(key)
-        if module is None:  # a layout saved by another version
-            return
+        module = PANELS[key]
         with window.add_tab(module.TITLE, getattr(viser.Icon, module.ICON)):
             if not self.panels:
                 self._bridge.install()
@@ -117,6 +128,15 @@ class Workspace:
         @box.on_update
         async def _(_: viser.GuiEvent) -> None:
             self._on_layer(toggle, box.value)
+
+
+def offered(run: RunView | None) -> set[str]:
+    """KEYs of the panels that have something to show of a run."""
+    return {
+        key
+        for key, module in PANELS.items()
+        if not hasattr(module, "exists") or (run is not None and module.exists(run))
+    }
 
 
 def shown_first(panel: Panel, visible: set[str]) -> Panel:

@@ -16,6 +16,8 @@ from ..context import RunView, Selection
 from ..series import RunSeries
 
 if TYPE_CHECKING:
+    from ..graph import GraphView
+    from ..loops import LoopsView
     from ..uncertainty import Uncertainty
 
 MAX_FRUSTUM_FOV = np.deg2rad(110.0)
@@ -33,6 +35,8 @@ class SceneFrame:
     other: OtherRun | None = None  # the run compared with
     resolved: WindowReport | None = None  # this frame's window, solved with other parameters
     uncertainty: Uncertainty | None = None  # of this frame's window, once it is worked out
+    graph: GraphView | None = None  # the pose graph, once it is worked out
+    loops: LoopsView | None = None  # why loops close and do not
 
     @property
     def series(self) -> RunSeries:

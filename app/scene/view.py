@@ -11,12 +11,13 @@ from .comparison import ComparisonLayer
 from .frame import Layer, SceneFrame
 from .ground import GroundLayer
 from .landmarks import LandmarkLayer, by_status
+from .loops import LoopLayer
 from .selection import SelectionLayer
 from .trajectory import TrajectoryLayer
 from .uncertainty import UncertaintyLayer
 from .window import WindowLayer
 
-LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer, UncertaintyLayer)
+LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer, UncertaintyLayer, LoopLayer)
 TOGGLES: dict[str, str] = {name: title for layer in (*LAYERS, GroundLayer) for name, title in layer.toggles.items()}
 """Every layer that can be switched, with the title of its checkbox."""
 OFF = frozenset({"uncertainty"})

@@ -145,3 +145,28 @@ def gate_list(gates: Iterable[Gate], *, switch: bool = False, failed_first: bool
     rule = Html('<div class="vi-rule"></div>')
     parts = [part for gate in ordered for part in (rule, gate_rows(gate, switch=switch))]
     return tag("div", *parts[1:], cls="vi-gates")
+
+
+def gate_lines(gates: Iterable[Gate]) -> Html:
+    """One line a gate, for decisions that took many: its limit is the link to the parameter behind it."""
+    return tag("div", *(_line(gate) for gate in gates), cls="vi-gatelines")
+
+
+def _line(gate: Gate) -> Html:
+    limit = text((OPS.get(gate.op, gate.op), " ", brief(gate.limit), unit(gate.unit)))
+    if gate.knob:
+        click, tip = send(k="knob", key=gate.knob), parameter_tip(gate.knob)
+        limit = tag("span", limit, cls="vi-knob", onclick=click, data_tip=tip)
+    known = gate.value is not None and not math.isnan(gate.value)
+    aside = "" if gate.decides else " vi-aside"
+    return tag(
+        "div",
+        verdict(gate),
+        term(gate.name.replace("_", " "), gate_tip(gate)),
+        tag("span", quantity(gate.value if known else None, gate.unit), cls="vi-val"),
+        tag("span", meter(gate, OK if gate.passed else BAD), title=margin_words(gate) if known else ""),
+        tag("span", limit),
+        cls=f"vi-gateline{aside}" + ("" if gate.passed or not known or not gate.decides else " vi-failed"),
+        title="" if gate.decides else "shown, but decides nothing here",
+        data_gate=gate.name,
+    )

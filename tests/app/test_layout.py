@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.layout import CAMERA_CHROME_PX, Layout, canvas_width, place, read_layout, shipped_layouts
+from app.layout import CAMERA_CHROME_PX, PAIR_IMAGES, Layout, canvas_width, place, read_layout, shipped_layouts
 from app.panel_view import PANELS
 from app.panels.signals import SIGNALS
 from app.scene.view import TOGGLES
@@ -29,6 +29,7 @@ def test_the_layouts_come_with_hotkeys_in_order() -> None:
         ("init", "alt+3"),
         ("prior", "alt+4"),
         ("compare", "alt+5"),
+        ("loops", "alt+6"),
     ]
 
 
@@ -60,7 +61,8 @@ def test_docks_leave_room_for_the_3d_view_and_the_image_fits_above_what_is_below
     at = place(layout, page, aspect)
     assert at["timeline"].x + at["timeline"].width <= canvas
     stacked = 1 + sum(panel.below == "camera" for panel in layout.panels.values())
-    assert at["camera"].width / aspect + CAMERA_CHROME_PX <= page[1] / stacked + 1
+    images = PAIR_IMAGES if layout.panels["camera"].tabs[0] == "pair" else 1
+    assert images * at["camera"].width / aspect + CAMERA_CHROME_PX <= page[1] / stacked + 2
 
 
 def test_a_floating_panel_follows_the_width_of_the_3d_view() -> None:
