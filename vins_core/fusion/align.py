@@ -38,6 +38,8 @@ def align(a_o: np.ndarray, z_e: np.ndarray, covariance: np.ndarray) -> Alignment
 
     None when no two fixes are far enough apart: the odometry did not move.
     """
+    if len(a_o) < 2:
+        return None
     a, z = a_o[:, :2], z_e[:, :2]
     variance = 0.5 * np.trace(covariance[:, :2, :2], axis1=1, axis2=2)
     variance = variance + (DRIFT * np.linalg.norm(a - np.median(a, 0), axis=1)) ** 2

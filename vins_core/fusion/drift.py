@@ -26,7 +26,7 @@ from ..geometry import so3
 
 SIZE = 7
 """Of the error state: position, rotation, scale."""
-ROTATION, SCALE = slice(3, 6), 6
+ROTATION, TILT, SCALE = slice(3, 6), slice(3, 5), 6
 
 REST_M = 1e-3
 REST_RAD = 1e-5
@@ -78,7 +78,10 @@ def between(settings: params.Gps, moved_o: np.ndarray, dt_s: np.ndarray | float)
         rest = np.repeat([REST_M, REST_RAD], 3)
         variance[..., :6] = d[..., None] * walk**2 + dt_s[..., None] * rest**2
         variance[..., SCALE] = settings.scale_sigma**2 * (1.0 - kept**2)
-    variance[..., SCALE] += MIN_SCALE_NOISE**2
+    if settings.dof == "4":
+        variance[..., TILT] = 0.0
+    if settings.scale_sigma > 0:
+        variance[..., SCALE] += MIN_SCALE_NOISE**2
     return Increment(moved_o, moved_o.copy(), kept, variance[..., None] * np.eye(SIZE))
 
 

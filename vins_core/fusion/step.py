@@ -118,13 +118,13 @@ def _take_in(
     state = replace(state, nodes=nodes, ahead=nothing(), aligned=state.aligned and held)
     if found is None:
         state = replace(state, prior=None, x=np.zeros((0, 8)), used=np.zeros(0, bool), covariance=np.zeros((0, 0)))
-        return state, _Intake(innovations, outcome=outcome or "the odometry has not moved far enough for a heading")
+        return state, _Intake(innovations, outcome=outcome)
 
     judgement = found.judgement
     covariance = judgement.covariances[-1]
-    gates = _alignment_gates(settings, judgement.used, covariance)
-    aligned = state.aligned or all_pass(gates)
-    linear = len(nodes) >= settings.window and yaw_sigma_deg(settings, covariance) <= window.LINEAR_YAW_DEG
+    full = len(nodes) >= settings.window
+    aligned = state.aligned or all_pass(_alignment_gates(settings, judgement.used, covariance, full))
+    linear = full and yaw_sigma_deg(settings, covariance) <= window.LINEAR_YAW_DEG
     state = replace(
         state,
         prior=found.chain.prior if held or aligned or linear else None,
@@ -151,12 +151,26 @@ def _agreement(settings: params.Gps, used: np.ndarray) -> Gate:
     return Gate("used_share", share, ">=", settings.min_used_share, "gps.min_used_share")
 
 
-def _alignment_gates(settings: params.Gps, used: np.ndarray, covariance: np.ndarray) -> tuple[Gate, ...]:
-    """`covariance` of the newest node; empty without a solution."""
+def _why_not(state: GpsState, gates: tuple[Gate, ...]) -> str:
+    if not state.nodes:
+        return "no fix passed the gates so far"
+    if not len(state.x):
+        return "the odometry has not moved far enough for a heading, or the fixes contradict it"
+    return f"fixes do not count yet because of {', '.join(g.name for g in gates if not g.passed)}"
+
+
+def _outage(settings: params.Gps, state: GpsState, frame: OdometryPose) -> Gate:
+    since_s = max(0.0, (frame.t_ns - state.last_used_ns) * 1e-9)
+    return Gate("outage_s", since_s, "<=", settings.max_outage_s, "gps.max_outage_s", "s", decides=False)
+
+
+def _alignment_gates(settings: params.Gps, used: np.ndarray, covariance: np.ndarray, full: bool) -> tuple[Gate, ...]:
+    """`covariance` of the newest node, empty without a solution.  A full window must do with the heading it has."""
     sigma_deg = yaw_sigma_deg(settings, covariance) if covariance.size else None
+    knob = "full_yaw_sigma_deg" if full else "max_yaw_sigma_deg"
     return (
         Gate("fixes", int(used.sum()), ">=", settings.min_fixes, "gps.min_fixes"),
-        Gate("yaw_sigma_deg", sigma_deg, "<=", settings.max_yaw_sigma_deg, "gps.max_yaw_sigma_deg", "deg"),
+        Gate("yaw_sigma_deg", sigma_deg, "<=", getattr(settings, knob), f"gps.{knob}", "deg"),
         _agreement(settings, used),
     )
 
@@ -176,17 +190,12 @@ def _report(
     intake: _Intake,
 ) -> GpsReport:
     verdicts = dict(zip((a.t_ns for a in state.anchors), state.verdicts))
-    gates = _alignment_gates(settings, state.used, state.covariance)
-    outcome = intake.outcome
-    if state.aligned:
-        since_s = max(0.0, (frame.t_ns - state.last_used_ns) * 1e-9)
-        limit = settings.max_outage_s
-        gates = (*gates, Gate("outage_s", since_s, "<=", limit, "gps.max_outage_s", "s", decides=False))
-        status = GpsStatus.FUSING
-    else:
+    status, outcome = GpsStatus.FUSING, intake.outcome
+    gates: tuple[Gate, ...] = (_agreement(settings, state.used), _outage(settings, state, frame))
+    if not state.aligned:
+        gates = _alignment_gates(settings, state.used, state.covariance, len(state.nodes) >= settings.window)
         status = GpsStatus.ALIGNING if state.nodes else GpsStatus.WAITING
-        failed = [g.name for g in gates if not g.passed]
-        outcome = outcome or (f"fixes do not count yet: {', '.join(failed)}" if state.nodes else "no fix so far")
+        outcome = outcome or _why_not(state, gates)
     known = _predict(settings, state) if len(state.x) else None
     pose = known if state.aligned else None
     T_e_b = T_e_o = None

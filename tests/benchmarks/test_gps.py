@@ -1,0 +1,66 @@
+"""Milliseconds of GPS fusion: `OPENBLAS_NUM_THREADS=1 pytest tests/benchmarks/test_gps.py --benchmark-enable`.
+
+A frame with a fix, after one minute and after ten: what a fix costs must not grow with the run.  The final trajectory
+may, in proportion to it.  `python tests/benchmarks/test_gps.py` prints the cost minute by minute.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from functools import cache
+
+import numpy as np
+import pytest
+from gps_run import settings, steps
+
+from vins_core.fusion.smooth import smooth
+from vins_core.fusion.state import OdometryPose
+from vins_core.fusion.step import step
+from vins_core.simulation.drive import Drive, Receiver, Road, drive
+
+STEADY = Receiver(outage_s=(1e6, 1e6))
+
+
+@cache
+def minutes(n: int) -> Drive:
+    return drive(0, Road(length_m=600.0 * n), receiver=STEADY)
+
+
+@pytest.mark.parametrize("n", [1, 10])
+def test_a_frame_with_a_fix(benchmark, n):
+    d = minutes(n)
+    (fixes, last) = d.fixes[-1:], len(d.t_ns) - 1
+    *_, before, _ = steps(settings(), d)
+    state = before[0]
+    frame = OdometryPose(int(d.t_ns[last]), d.T_o_b[last])
+    _, report = benchmark(lambda: step(settings(), d.p_b_gps, state, frame, fixes))
+    assert report.T_e_b is not None
+
+
+@pytest.mark.parametrize("n", [1, 10])
+def test_the_final_trajectory(benchmark, n):
+    d = minutes(n)
+    smoothed = benchmark.pedantic(lambda: smooth(settings(), d.p_b_gps, d.t_ns, d.T_o_b, d.fixes), rounds=2)
+    assert len(smoothed.t_ns) == len(d.t_ns)
+
+
+def main() -> None:
+    print(f"{'minute':>6} {'fix ms':>7} {'worst':>6} {'frame ms':>9} {'window':>6}")
+    d = minutes(10)
+    with_fix: list[float] = []
+    without: list[float] = []
+    start = time.perf_counter()
+    for k, (_, report) in enumerate(steps(settings(), d), start=1):
+        now = time.perf_counter()
+        (with_fix if report.fixes else without).append(1e3 * (now - start))
+        if k % 600 == 0:
+            figures = np.median(with_fix), max(with_fix), np.median(without)
+            print(f"{k // 600:6d} {figures[0]:7.2f} {figures[1]:6.1f} {figures[2]:9.2f} {report.n_window:6d}")
+            with_fix, without = [], []
+        start = time.perf_counter()
+
+
+if __name__ == "__main__":
+    main()
