@@ -364,16 +364,15 @@ class Loop:
     max_distance_m: Annotated[float, Range(0.1, 1000), Doc("distance between the keyframes (VINS: 20)", "m")] = 20.0
     consistency: Annotated[
         bool, Doc("a loop must fit what odometry and earlier loops allow, within their covariance (parity: off)")
-    ] = False
+    ] = True
     drift_inflation: Annotated[
         float,
         Range(1, 50),
         Doc(
-            "standard deviations of odometry and loops count so many times: what the estimator claims is too little, "
-            "for errors are common to all increments of a window; wholly so, they would grow as the square root of its "
-            "keyframes"
+            "standard deviations of odometry and loops count so many times, because the estimator claims too little: "
+            "3.2 for errors that are common to the ten keyframes of a window, times 2 for what no model holds"
         ),
-    ] = 3.2
+    ] = 6.0
     max_drift: Annotated[
         float, Range(1, 100), Doc("largest correction a loop may ask for, whatever agrees with it", "sigma")
     ] = 6.0

@@ -210,6 +210,9 @@ class WindowReport:
     b_g: np.ndarray  # (n, 3) rad/s
     shared: np.ndarray  # (n,) int32, tracks shared with the newest frame
     error_px: np.ndarray  # (n,) float32, rms reprojection error of the observations in this frame, px460
+    motion: np.ndarray | None = None
+    """(6, 6) covariance of the motion from the keyframe before to the second newest frame when that is one, tangent
+    (dp, dtheta): p + dp, q * Exp(dtheta); None unless loops are closed."""
 
 
 @dataclass(frozen=True)

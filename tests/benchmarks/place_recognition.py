@@ -16,6 +16,7 @@ import argparse
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -23,6 +24,7 @@ import numpy as np
 
 from vins_core import params as parameters
 from vins_core.evaluation.associate import associate
+from vins_core.examine import solved_window
 from vins_core.frontend.images import usable_area
 from vins_core.frontend.reject import epipolar_inliers
 from vins_core.geometry import poses, so3
@@ -38,6 +40,7 @@ from vins_core.process import prepare
 from vins_core.record.recording import RunReader
 from vins_core.report import LoopReport
 from vins_core.sensors import Trajectory
+from vins_core.solver.covariance import relative_poses
 
 CORRIDOR_GAP = 37
 """Images between two that may match: revisits come 38 images and more later."""
@@ -128,14 +131,24 @@ def keyframes_of(run: RunReader, params: Params) -> tuple[list[LoopKeyframe], Tr
                 continue
             window = run.state(k).window
             image = source.load(run.report(window.frames[-2].frame).images[-1])
+            odometry = _odometry(run, k) if found else None
             t0 = time.perf_counter()
             slot, corners = len(window.frames) - 2, params.loop.max_corners
-            found.append(describe_keyframe(window, slot, camera.model, image, describer, vocabulary, corners, usable))
+            keyframe = describe_keyframe(window, slot, camera.model, image, describer, vocabulary, corners, usable)
             ms.append(1e3 * (time.perf_counter() - t0))
+            found.append(replace(keyframe, odometry=odometry))
         truth = source.truth()
     if truth is None:
         raise SystemExit(f"{run.header.recording} has no ground truth")
     return found, truth, step.begin(vocabulary.limits), ms
+
+
+def _odometry(run: RunReader, k: int) -> np.ndarray | None:
+    """Covariance of the motion from the last keyframe to the one that frame k made."""
+    turn = solved_window(run, k)
+    assert turn is not None
+    solved, newest = turn.solved, len(turn.solved.window.frames) - 1
+    return relative_poses(solved.assembly.problem, solved.solution.states, [(newest - 2, newest - 1)])[0]
 
 
 def over_run(folder: Path, settings: list[str]) -> None:
@@ -148,7 +161,7 @@ def over_run(folder: Path, settings: list[str]) -> None:
     for keyframe in keyframes:
         t0 = time.perf_counter()
         reports.append(step.detect(params.loop, state, keyframe))
-        state = step.remember(state, keyframe)
+        state = step.remember(state, keyframe, reports[-1])
         ms.append(1e3 * (time.perf_counter() - t0))
     _print_run(reports, T_true, describe_ms, ms, params.loop)
 
@@ -182,6 +195,14 @@ def _print_run(
     print(f"recall {np.mean([q in closed for q in np.flatnonzero(revisit)]) if revisit.any() else np.nan:.4f}")
     for r in missed:
         print(f"  missed {r.keyframe}: {r.outcome}, candidates {[(c.match, str(c.outcome)) for c in r.candidates]}")
+    looks_right = [c for r in reports for c in r.candidates if any(g.name == "drift" for g in c.gates)]
+    far = [c for c in looks_right if apart_m[c.query, c.match] > FAR_M]
+    near = [c for c in looks_right if apart_m[c.query, c.match] <= FAR_M]
+    for what, some in (("elsewhere", far), ("the same place", near)):
+        sigmas = [g.value for c in some for g in c.gates if g.name == "drift" and g.value is not None]
+        ends = Counter(str(c.outcome) for c in some)
+        told = f", drift {np.min(sigmas):.2f} to {np.max(sigmas):.2f} sigma" if sigmas else ""
+        print(f"{len(some)} candidates pass all but consistency and are {what}{told}: {dict(ends)}")
     print("outcomes:", ", ".join(f"{o} {k}" for o, k in Counter(str(r.outcome) for r in reports).items()))
     if loops:
         at = (50, 95, 100)

@@ -19,6 +19,8 @@ LOOKING_AHEAD = se3.from_rotation_translation(
 FOCAL, WIDTH, HEIGHT = 400.0, 640, 480
 PX = 1.0 / 460.0
 PLACES = 40
+ODOMETRY = np.diag([1e-4] * 3 + [1e-6] * 3)
+"""Covariance of the motion between any two keyframes: 1 cm and 0.06 degrees."""
 
 
 @lru_cache(maxsize=4)
@@ -84,6 +86,7 @@ def keyframe(
         (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32),
         described,
         vocabulary().bag_of(described),
+        ODOMETRY,
     )
 
 

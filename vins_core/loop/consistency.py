@@ -12,12 +12,14 @@ A loop then has
     drift       d / f with d^2 = e' (W_ij + W_loop)^-1 e,  e = Log(T_loop T_predicted^-1),  6 degrees of freedom
     agreement   how many keyframes shortly before ask for a correction that is the same within the same bound
 
-f is `drift_inflation`: the covariances are the estimator's claims.  Increments of a fixed-lag smoother are added here
-as if they were independent, but biases, scale and landmarks are common to those within a window; were they wholly
-so over a window of n keyframes, deviations would grow n^(1/2) times as fast, which is 3.2 for ten.  Landmarks, too,
-count as exact in the covariance of a loop.  Beyond `max_drift` a loop is refused, however many agree: candidates in
-a wrong room agree with each other.  Between `sure_drift` and that, or where no odometry joins two sessions, it waits
-until `min_agreement` other keyframes have asked for the same.
+f is `drift_inflation`: the covariances are the estimator's claims, which are too small.  Increments of a fixed-lag
+smoother are added as if they were independent, but biases, scale and landmarks are common to those within a window:
+were they wholly so over a window of n keyframes, deviations would grow n^(1/2) times as fast, 3.2 for ten.  And what no
+model holds (tracks that slip, Jacobians taken elsewhere) makes one increment about twice as wrong as it claims.
+
+Beyond `max_drift` a loop is refused, however many agree: candidates in a wrong room agree with each other.  Between
+`sure_drift` and that, or where no odometry joins two sessions, it waits until `min_agreement` other keyframes have
+asked for the same.
 
 Everything here is a function of values that the record keeps: poses, covariances, earlier decisions.
 """
@@ -202,7 +204,8 @@ def _agreeing(params: Loop, nodes: Arrived, ask: Ask) -> int:
 
 def _same(params: Loop, nodes: Arrived, ask: Ask, k: int, other: Ask) -> bool:
     """Is the loop of keyframe k what the newest and the motion between them predict?"""
-    matches, queries = relation(nodes, other.match, ask.match), relation(nodes, nodes.k, k)
+    queries = _between(nodes(nodes.k).odometry, nodes(k).odometry, _shared(nodes, nodes.k, k, tied=False))
+    matches = relation(nodes, other.match, ask.match) if queries else None
     if matches is None or queries is None:
         return False
     return distance(other.loop, matches.then(ask.loop).then(queries)) <= params.drift_inflation * params.sure_drift

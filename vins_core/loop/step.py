@@ -12,14 +12,28 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..geometry import poses
 from ..params import Loop
 from ..report import LOOP_OUTCOMES, Gate, LoopCandidate, LoopOutcome, LoopReport, all_pass
 from . import consistency, gates
-from .consistency import Arrived, Node
+from .consistency import Arrived, Motion, Node, from_tangent, tangent_covariance
 from .index import InvertedIndex
 from .keyframe import Keyframes, LoopKeyframe
 from .verify import Pair, verify
 from .vocabulary import ScoreLimits
+
+
+@dataclass(frozen=True)
+class Moved:
+    """The motion since the last keyframe used, to the last one offered."""
+
+    T_w_b: np.ndarray  # (7,) of that one
+    motion: Motion | None  # None where no odometry joins them, or none has been used
+
+    def on(self, T_w_b: np.ndarray, covariance: np.ndarray | None) -> Moved:
+        if self.motion is None or covariance is None:
+            return Moved(T_w_b, None)
+        return Moved(T_w_b, self.motion.then(from_tangent(poses.between(self.T_w_b, T_w_b), covariance)))
 
 
 @dataclass(frozen=True)
@@ -31,6 +45,7 @@ class LoopState:
     n: int = 0
     seen: int = 0  # keyframes offered so far, used or not
     since: int = 0  # of them from the last one used on
+    moved: Moved | None = None  # None before the first is offered
 
     def __len__(self) -> int:
         return self.n
@@ -63,13 +78,25 @@ def begin(limits: ScoreLimits) -> LoopState:
     return LoopState(Keyframes(), limits)
 
 
-def admit(params: Loop, state: LoopState, p_w_b: np.ndarray) -> tuple[LoopState, tuple[Gate, ...]]:
-    """Is a keyframe at this position used at all?  Asked before it is described (L3, L4)."""
+def admit(
+    params: Loop, state: LoopState, T_w_b: np.ndarray, motion: np.ndarray | None = None
+) -> tuple[LoopState, tuple[Gate, ...]]:
+    """Is a keyframe at this pose (7,) used at all?  Asked before it is described (L3, L4).
+
+    `motion` (6, 6): covariance of the motion since the last keyframe offered; None at the start of a session.
+    """
     judged: tuple[Gate, ...] = (gates.start(params, state.seen),)
     if len(state):
-        moved_m = float(np.linalg.norm(p_w_b - state.keyframes[len(state) - 1].T_w_b[:3]))
+        moved_m = float(np.linalg.norm(T_w_b[:3] - state.keyframes[len(state) - 1].T_w_b[:3]))
         judged += (gates.every(params, state.since), gates.spacing(params, moved_m))
-    return replace(state, seen=state.seen + 1, since=state.since + 1), judged
+    moved = state.moved.on(T_w_b, motion) if state.moved else Moved(T_w_b, None)
+    return replace(state, seen=state.seen + 1, since=state.since + 1, moved=moved), judged
+
+
+def odometry(state: LoopState) -> np.ndarray | None:
+    """`LoopKeyframe.odometry` of the keyframe that was just admitted."""
+    moved = state.moved.motion if state.moved else None
+    return tangent_covariance(moved) if moved else None
 
 
 def detect(params: Loop, state: LoopState, keyframe: LoopKeyframe, evaluate_all: bool = False) -> LoopReport:
@@ -103,7 +130,8 @@ def remember(state: LoopState, keyframe: LoopKeyframe, report: LoopReport | None
     nodes = _arrived(state, len(state), keyframe)
     node = consistency.settle(nodes, report) if report else nodes.node
     keyframes = state.keyframes.extended(len(state), replace(keyframe, node=node))
-    return replace(state, keyframes=keyframes, n=state.n + 1, since=1)
+    here = Moved(keyframe.T_w_b, Motion(poses.IDENTITY, np.zeros((6, 6))))
+    return replace(state, keyframes=keyframes, n=state.n + 1, since=1, moved=here)
 
 
 def decide(report: LoopReport, candidates: Iterable[LoopCandidate]) -> LoopReport:

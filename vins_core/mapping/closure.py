@@ -96,7 +96,8 @@ def close(
     closure, edges = _tie(params, closure, window)
     keyframe, loop = None, None
     if report.keyframe is not None and report.keyframe.is_keyframe:
-        closure, keyframe, loop = _add_keyframe(params, places, images, closure, window, image, ms)
+        motion = report.window.motion if report.window and closure.session_open else None
+        closure, keyframe, loop = _add_keyframe(params, places, images, closure, window, motion, image, ms)
     with stopwatch(ms, "graph"):
         closure, optimized = _optimize(params, places, closure, report.t_ns)
     drift = closure.graph.sessions[-1].drift if closure.graph.sessions else poses.IDENTITY
@@ -166,21 +167,24 @@ def _add_keyframe(
     images: ImageSource,
     closure: Closure,
     window: WindowState,
+    motion: np.ndarray | None,
     image: ImageRef,
     ms: Timings,
 ) -> tuple[Closure, KeyframeEntry | None, LoopReport]:
-    """The second newest frame, which has just become a keyframe (REFERENCE L1)."""
+    """The second newest frame, which has just become a keyframe (REFERENCE L1); `motion`: covariance since the last."""
     slot = len(window.frames) - 2
     frame = window.frames[slot]
-    loops, judged = step.admit(params.loop, closure.loops, frame.p_w_b)
+    T_w_b = np.concatenate([frame.p_w_b, frame.q_w_b])
+    loops, judged = step.admit(params.loop, closure.loops, T_w_b, motion)
     if not all(g.passed for g in judged):
         return replace(closure, loops=loops), None, _left_out(frame, judged)
     with stopwatch(ms, "describe"):
         keyframe = places.describe(window, slot, images.load(image), params.loop.max_corners)
+        keyframe = replace(keyframe, odometry=step.odometry(loops))
     with stopwatch(ms, "loop"):
         found = step.detect(params.loop, loops, keyframe)
         found = replace(found, gates=(*judged, *found.gates))
-        loops = step.remember(loops, keyframe)
+        loops = step.remember(loops, keyframe, found)
     closure, entry = _enter(replace(closure, loops=loops), keyframe)
     if found.accepted is not None:
         closure = _accept(params, closure, keyframe, found.accepted)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..loop.keyframe import Keyframes, LoopKeyframe
 from ..loop.relocalize import RelocalisationRequest
-from ..loop.step import LoopState
+from ..loop.step import LoopState, Moved
 from ..mapping.closure import Closure, Optimization, PendingLoop
 from ..mapping.places import Places
 from ..pose_graph.graph import Pair, PoseGraph, Session, extend
@@ -40,6 +40,7 @@ class ClosureMark:
     n: int
     seen: int
     since: int
+    moved: Moved | None
     graph: GraphMark
     session_open: bool
     pending: tuple[PendingLoop, ...]
@@ -56,6 +57,7 @@ def mark(closure: Closure) -> ClosureMark:
         closure.loops.n,
         closure.loops.seen,
         closure.loops.since,
+        closure.loops.moved,
         _mark_graph(closure.graph),
         closure.session_open,
         closure.pending,
@@ -112,7 +114,7 @@ class RecordedMap:
     def restore(self, mark: ClosureMark) -> Closure:
         begun = mark.optimization
         return Closure(
-            LoopState(self._keyframes, self.places.vocabulary.limits, mark.n, mark.seen, mark.since),
+            LoopState(self._keyframes, self.places.vocabulary.limits, mark.n, mark.seen, mark.since, mark.moved),
             self._graph_at(mark.graph),
             mark.session_open,
             mark.pending,

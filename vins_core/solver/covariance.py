@@ -21,7 +21,7 @@ from scipy.linalg import lapack, solve_triangular
 
 from ..geometry import se3, so3
 from . import schur
-from .linearize import Linearizer, NormalEquations
+from .linearize import Linearizer, NormalEquations, layout_of
 from .problem import States, WindowProblem
 from .trust_region import gauge_damping
 
@@ -58,18 +58,21 @@ def covariances(problem: WindowProblem, states: States) -> Covariances | None:
     return Covariances(of_poses, of_speed_biases, variance, *_in_world(problem, states, of_poses, coupled, variance))
 
 
-def relative_poses(problem: WindowProblem, states: States, pairs: Sequence[tuple[int, int]]) -> list[np.ndarray | None]:
+def relative_poses(
+    problem: WindowProblem, states: States, pairs: Sequence[tuple[int, int]], system: NormalEquations | None = None
+) -> list[np.ndarray | None]:
     """Per pair (i, j) of slots the covariance (6, 6) of T_i_j = T_w_i^-1 T_w_j, tangent (p + dp, q * Exp(dtheta)).
 
         dp = R_w_i' (dp_j - dp_i) + p x dtheta_i,      dtheta = dtheta_j - R_i_j' dtheta_i
 
-    None when the normal equations are singular beyond position and yaw.
+    None when the normal equations are singular beyond position and yaw.  `system`: those at `states`, where a solver
+    has left them.
     """
     if not pairs:
         return []
-    linearizer = Linearizer(problem)
-    layout = linearizer.layout
-    factor = _factor_cameras(linearizer.linearize(states), gauge_damping(states.poses[0]))
+    layout, gauge = layout_of(problem), gauge_damping(states.poses[0])
+    factor = _factor_cameras(system, gauge) if system else None  # a loss that bends H may leave it indefinite
+    factor = factor or _factor_cameras(Linearizer(problem).linearize(states), gauge)
     if factor is None:
         return [None] * len(pairs)
     Ts_w_b = se3.from_quaternion_translation(states.poses[:, 3:], states.poses[:, :3])

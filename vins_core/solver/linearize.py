@@ -49,11 +49,7 @@ class Linearizer:
 
     def __init__(self, problem: WindowProblem):
         self.problem = problem
-        self.layout = layout = Layout(
-            problem.n_frames,
-            len(problem.initial.extrinsics) if problem.free_extrinsics else 0,
-            problem.n_places,
-        )
+        self.layout = layout = layout_of(problem)
         self.visual = VisualTerm(problem, layout) if len(problem.projections) else None
         self.inertial = InertialTerm(problem, layout) if problem.imu else None
         self.prior = PriorTerm(problem.prior, layout) if problem.prior else None
@@ -89,6 +85,12 @@ class Linearizer:
             extrinsics,
             states.inv_depths + dl,
         )
+
+
+def layout_of(problem: WindowProblem) -> Layout:
+    """The columns of its variables."""
+    n_extrinsics = len(problem.initial.extrinsics) if problem.free_extrinsics else 0
+    return Layout(problem.n_frames, n_extrinsics, problem.n_places)
 
 
 class _Term(Protocol):

@@ -24,6 +24,7 @@ from ..report import (
     all_pass,
 )
 from ..sensors import Calibration, ImuNoise
+from ..solver.covariance import relative_poses
 from ..solver.solve import solve
 from ..solver.trust_region import Solution
 from . import degeneracy, health, landmarks
@@ -126,6 +127,8 @@ def estimate(
             turn.solved, turn.judged, turn.assembly, turn.report, inv_depth_sigma(turn.solution), leaves_oldest
         )
         window_report = _window_report(turn.solved, turn.report)
+        if keyframe.is_keyframe and params.loop.enabled:
+            window_report = replace(window_report, motion=_motion(turn))
         pose = pose_of(turn.solved.frames[-1])
         verdict = health.check(params.health, keyframe.tracked, previous, pose)
         gates, motion = degeneracy.check(params.health, turn.solved.frames, turn.solved.T_b_c[0][:3, :3])
@@ -163,6 +166,12 @@ def _repropagate(params: Imu, window: WindowState, noise: ImuNoise) -> WindowSta
         if moved_a > params.repropagate_ba or moved_g > params.repropagate_bg:
             frames[k] = replace(frames[k], imu=repropagate(imu, before.b_a, before.b_g, noise))
     return replace(window, frames=tuple(frames))
+
+
+def _motion(turn: Solved) -> np.ndarray | None:
+    """(6, 6) covariance of the motion between the keyframe before and the second newest frame."""
+    problem, solution, n = turn.assembly.problem, turn.solution, len(turn.window.frames)
+    return relative_poses(problem, solution.states, [(n - 3, n - 2)], solution.system)[0]
 
 
 def _window_report(window: WindowState, solve: SolveReport) -> WindowReport:
