@@ -1,21 +1,19 @@
-"""What other limits would have decided, from reports alone: no descriptor is touched (SPEC 9.3a).
+"""What other limits would have decided about a keyframe, from its report alone: no descriptor is touched (SPEC 9.3a).
 
-Of one keyframe as long as all that was decided before stands (`rejudge`), or of a whole run, where what is accepted
-early changes what is consistent later (`rejudge_run`).  Exact for limits; parameters that change values (descriptor,
-ratio, RANSAC ...) need the keyframes again (`detect`).
+Exact for limits; parameters that change values (descriptor, ratio, RANSAC ...) need the keyframes again (`detect`).
+What is accepted early changes what is consistent later: over a run, the nodes of consistency go with the reports.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 from ..params import DECLARATIONS, Loop
 from ..report import Gate, LoopCandidate, LoopReport, all_pass
 from . import gates
-from .consistency import Arrived, Node, arrive, judge, settle
-from .keyframe import LoopKeyframe
+from .consistency import Arrived, judge
 from .step import decide, retrieval_gates
 from .vocabulary import ScoreLimits
 
@@ -29,27 +27,6 @@ LIMITS = frozenset(
 _NAMES = list(gates.MEANING)
 _VERIFICATION = frozenset(_NAMES[_NAMES.index("matches") : _NAMES.index("drift")])
 _CONSISTENCY = frozenset(_NAMES[_NAMES.index("drift") :])
-
-
-def rejudge_run(
-    params: Loop, limits: ScoreLimits, reports: Iterable[LoopReport], earlier: Sequence[LoopKeyframe] = ()
-) -> Iterator[LoopReport]:
-    """The reports of a run of `detect(..., evaluate_all=True)` as `params` would have had them, one after the other.
-
-    `earlier`: the keyframes of the map that the run began with.  Reports of keyframes that were left out stay.
-    """
-    nodes: list[Node] = [k.node for k in earlier if k.node]
-    before = earlier[-1].T_w_b if earlier else None
-    for report in reports:
-        if report.keyframe < 0:
-            yield report
-            continue
-        assert report.keyframe == len(nodes) and report.T_w_b is not None
-        arrived = arrive(lambda k: nodes[k], len(nodes), report.T_w_b, before, report.odometry)
-        again = rejudge(params, limits, report, arrived)
-        nodes.append(settle(arrived, again))
-        before = report.T_w_b
-        yield again
 
 
 def rejudge(params: Loop, limits: ScoreLimits, report: LoopReport, nodes: Arrived | None = None) -> LoopReport:
