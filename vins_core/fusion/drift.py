@@ -43,6 +43,10 @@ class Increment:
     kept: np.ndarray  # (...) k: share of the scale's error that is still the same
     covariance: np.ndarray  # (..., 7, 7) Q
 
+    def __post_init__(self) -> None:
+        """Of single increments NumPy makes a number; it stays an array, as it is recorded."""
+        object.__setattr__(self, "kept", np.asarray(self.kept, float))
+
     def __getitem__(self, rows: slice | np.ndarray) -> Increment:
         return Increment(self.moved_o[rows], self.stretched_o[rows], self.kept[rows], self.covariance[rows])
 

@@ -6,6 +6,7 @@ VINS-Fusion has none of them (REFERENCE H6) and pairs a fix with a frame within 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,17 +33,20 @@ def admit(
     track: Track,
     node: int,
     fix: GpsFix,
+    known: Collection[int] = (),
     now_ns: int | None = None,
 ) -> tuple[Admission, EnuFrame | None]:
     """A fix as an anchor of frame `node` of the track; the first one that passes is the origin.
 
-    p_b_gps (3,): the antenna on the body, m.  now_ns: stamp of the newest frame, if lateness matters.
+    p_b_gps (3,): the antenna on the body, m.  known: stamps of fixes that were admitted before.  now_ns: stamp of the
+    newest frame, if lateness matters.
     """
     covariance, sigmas = weight(settings, fix)
     gap_s = track.gap_s(fix.t_ns)
     gates = (
         Gate("status", fix.status, ">=", settings.min_status, "gps.min_status"),
         Gate("position_known", float(_is_position(fix)), ">=", 1.0),
+        Gate("stamp_is_new", float(fix.t_ns not in known), ">=", 1.0),
         Gate("smallest_sigma_m", sigmas[0] if sigmas else None, ">=", settings.min_sigma_m, "gps.min_sigma_m", "m"),
         Gate("horizontal_sigma_m", sigmas[1] if sigmas else None, "<=", settings.max_sigma_m, "gps.max_sigma_m", "m"),
         *(() if now_ns is None else (_age(settings, fix, now_ns),)),

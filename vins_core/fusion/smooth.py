@@ -62,11 +62,13 @@ def smooth(
     """
     track, fixes = Track(t_ns, T_o_b), sorted(fixes, key=lambda f: f.t_ns)
     origin, admissions, nodes = None, [], []
+    known: set[int] = set()
     for fix in fixes:
         node = min(int(np.searchsorted(t_ns, fix.t_ns)), len(t_ns) - 1)
-        admission, origin = admit(settings, p_b_gps, origin, track, node, fix)
+        admission, origin = admit(settings, p_b_gps, origin, track, node, fix, known)
         admissions.append(admission)
         if admission.anchor is not None:
+            known.add(fix.t_ns)
             nodes.append(node)
     anchors = [a.anchor for a in admissions if a.anchor is not None]
     if origin is None:

@@ -87,11 +87,14 @@ def _admit(
 ) -> tuple[GpsState, list[Admission]]:
     """The fixes up to this frame, judged by themselves; those after it wait for the next."""
     track, origin = Track.of(state.recent), state.origin
+    known = {a.t_ns for a in state.anchors}
     admissions, early = [], []
     for fix in sorted((*state.early, *fixes), key=lambda f: f.t_ns):
         if fix.t_ns <= frame.t_ns:
-            admission, origin = admit(settings, p_b_gps, origin, track, len(track) - 1, fix, frame.t_ns)
+            admission, origin = admit(settings, p_b_gps, origin, track, len(track) - 1, fix, known, frame.t_ns)
             admissions.append(admission)
+            if admission.anchor is not None:
+                known.add(fix.t_ns)
         elif fix.t_ns - frame.t_ns > settings.max_age_s * 1e9:
             admissions.append(refuse(settings, fix, frame.t_ns))
         else:
