@@ -22,6 +22,7 @@ from ..report import (
     KeyframeReport,
     LandmarkReport,
     LandmarkStatus,
+    LoopReport,
     LossReason,
     MarginalizationReport,
     SolveReport,
@@ -86,6 +87,8 @@ def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
         yield from _initialization(attempt)
     if report.window:
         yield Decision("solve", "frames in the window", tuple(report.window.frames.tolist()), knob="window.size")
+        again = tuple(sorted(r.query for r in report.relocalizations))
+        yield Decision("solve", "loops in the window", again, knob="loop.relocalize")
     if report.solve:
         yield from _solve(report.solve, params)
     if report.landmarks and report.solve:
@@ -95,6 +98,7 @@ def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
     if report.marginalization:
         yield from _marginalization(report.marginalization, params)
     yield Decision("status", "status", str(report.status))
+    yield from _loops(report)
 
 
 def _verdict(gates: tuple[Gate, ...]) -> tuple[str, tuple[Gate, ...]]:
@@ -179,6 +183,33 @@ def _marginalization(report: MarginalizationReport, params: Params) -> Iterator[
     judge = partial(_eigenvalue, report.eigenvalues, params.marginalization.eigen_threshold)
     kept = tuple(range(first, len(report.eigenvalues)))
     yield Decision("marginalization", "eigenvalues kept", kept, knob="marginalization.eigen_threshold", judge=judge)
+
+
+def _loops(report: FrameReport) -> Iterator[Decision]:
+    closure = report.closure
+    for found in report.relocalizations:
+        yield Decision("loop", f"pose of keyframe {found.query} by the window", *_verdict(found.gates))
+    if closure is None:
+        return
+    later = tuple(e.later for e in closure.edges)
+    yield Decision("loop", "new edges", later, knob="loop.enabled")
+    yield Decision("loop", "refined edges", tuple(e.later for e in closure.edges if e.refined), knob="loop.relocalize")
+    yield Decision("loop", "keyframe offered", closure.loop is not None)
+    if closure.loop:
+        yield from _loop(closure.loop)
+    yield Decision("loop", "graph optimised", closure.graph is not None, knob="pose_graph.period_s")
+
+
+def _loop(report: LoopReport) -> Iterator[Decision]:
+    """The candidates of a keyframe, in the order of verification."""
+    yield Decision("loop", "keyframe", *_verdict(report.gates))
+    matches = tuple(c.match for c in report.candidates)
+    yield Decision("loop", "candidates", tuple(sorted(matches)), knob="loop.candidates")
+    yield Decision("loop", "first candidate", matches[0] if matches else -1, knob="loop.order")
+    for candidate in report.candidates:
+        outcome, _ = _verdict(candidate.gates)  # one that is advice here may decide there
+        yield Decision("loop", f"candidate {candidate.match}", outcome, candidate.gates)
+    yield Decision("loop", "loop with", report.accepted.match if report.accepted else -1)
 
 
 def _eigenvalue(values: np.ndarray, threshold: float, index: int) -> Gate | None:
