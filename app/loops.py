@@ -21,7 +21,7 @@ from vins_core.mapping.funnel import FunnelStage
 from vins_core.mapping.study import LoopRow, LoopStudy
 from vins_core.mapping.truth import Place, Truth
 from vins_core.record.recording import MAP
-from vins_core.report import LOOP_OUTCOMES, LoopCandidate, LoopOutcome, LoopReport
+from vins_core.report import LOOP_OUTCOMES, Gate, LoopCandidate, LoopOutcome, LoopReport
 
 from .context import RunView, Selection
 from .pair import PairPicture, pair_picture
@@ -354,7 +354,7 @@ class Pairs:
             alone = replace(report, candidates=(seen,))
             candidate = rejudge(params.loop, limits, alone).candidates[0] if wish.changes else seen
         predicted = bool(wish.changes) and (judged is None or query > judged.exact_until)
-        candidate = replace(candidate, matches=seen.matches)
+        candidate = replace(candidate, gates=_all_gates(params.loop, candidate, seen), matches=seen.matches)
         return PairView(row, report, candidate, rows.get(match), study.truth(query, match), picture, predicted)
 
     def _seen(self, study: LoopStudy, row: LoopRow, match: int, wish: Wish) -> tuple[LoopCandidate, PairPicture | None]:
@@ -369,6 +369,13 @@ class Pairs:
             while len(self._known) > KEEP_PAIRS:
                 del self._known[next(iter(self._known))]
         return self._known[key]
+
+
+def _all_gates(params: parameters.Loop, judged: LoopCandidate, seen: LoopCandidate) -> tuple[Gate, ...]:
+    """Those that decided, and after them the others that could be computed."""
+    names = {g.name for g in judged.gates}
+    others = (g for g in seen.gates if g.name not in names)
+    return (*judged.gates, *(replace(g, limit=getattr(params, g.knob.split(".")[1])) for g in others))
 
 
 def _params(study: LoopStudy, row: LoopRow, wish: Wish) -> parameters.Params:

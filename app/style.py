@@ -49,8 +49,8 @@ _BASE = f"""
 .vi>.vi-h:first-child{{margin-top:8px}}
 .vi-note{{text-transform:none;letter-spacing:0;font-weight:400;text-align:right}}
 .vi-p{{margin:4px 0 6px}}
-.vi-key{{font:600 11px/1.3 {FONT};color:{STRONG};background:{RAISED};border:1px solid #4A515C;border-bottom-width:2px;
- border-radius:4px;padding:0 5px}}
+.vi-key{{white-space:nowrap;font:600 11px/1.3 {FONT};color:{STRONG};background:{RAISED};border:1px solid #4A515C;
+ border-bottom-width:2px;border-radius:4px;padding:0 5px}}
 .vi-empty{{margin:6px 0;padding:12px 14px;border:1px dashed {LINE};border-radius:6px;line-height:1.55}}
 .vi-empty .vi-key{{margin:0 1px}}
 """
@@ -303,8 +303,8 @@ _LOOPS = f"""
 .vi-weight .vi-bar{{min-width:30px}}
 .vi-candidates .vi-chip{{padding:0 6px}}
 .vi-both img{{inset:auto;left:0;right:0}}
-.vi-corner{{position:absolute;left:8px;margin-top:6px;z-index:1;pointer-events:none;
- text-shadow:0 0 4px #000,0 0 2px #000;font-size:13px;transform-origin:0 0;transform:scale(calc(1/var(--vi-z)))}}
+.vi-corner{{position:absolute;left:6px;margin-top:6px;padding:1px 7px;z-index:1;pointer-events:none;border-radius:4px;
+ background:#0E1013CC;transform-origin:0 0;transform:scale(calc(1/var(--vi-z)))}}
 .vi-zoom .vi-match{{cursor:help}} .vi-match .l{{opacity:.8;--s:1.3px;pointer-events:stroke}}
 .vi-match circle{{--r:2.8px;--s:1px}} .vi-match .e,.vi-match .r,.vi-loose .l{{display:none}}
 .vi-match:hover .e,.vi-match:hover .r,.vi-loose:hover .l{{display:inline}}

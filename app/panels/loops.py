@@ -225,8 +225,15 @@ def _why(ctx: PanelContext, seen: LoopsView) -> Iterator[Html]:
         yield gate_lines(pair.report.gates)
         yield tag("div", f"No candidate: {pair.report.outcome}.", cls="vi-outcome vi-plain")
         return
-    yield gate_lines((*pair.report.gates, *pair.candidate.gates))
+    yield gate_lines(_gates(pair))
     yield _remedy(seen, pair)
+
+
+def _gates(pair: PairView) -> tuple[Gate, ...]:
+    """Of the keyframe alone, then of the pair; what both are asked stands once."""
+    assert pair.candidate is not None
+    asked = {g.name for g in pair.candidate.gates}
+    return (*(g for g in pair.report.gates if g.name not in asked), *pair.candidate.gates)
 
 
 def _frames(pair: PairView) -> Html:
@@ -290,7 +297,7 @@ def _remedy(seen: LoopsView, pair: PairView) -> Html:
         return tag("div", f"No limits accept it: {why}.", cls="vi-outcome", data_remedy="none")
     if not remedy.changes:
         return tag("div", *_not_by_limits(remedy), cls="vi-outcome vi-plain", data_remedy="order")
-    gates = (*pair.report.gates, *pair.candidate.gates)
+    gates = _gates(pair)
     parts: list[Child] = []
     for key, value in remedy.changes.items():
         parts += [" and " if parts else "", strong(_demand(key, value, gates))]
