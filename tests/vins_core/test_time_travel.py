@@ -38,6 +38,11 @@ def test_a_replay_to_the_end_is_the_record(sample_run: Path) -> None:
     assert replay(RunReader(sample_run), 5, 100) == []
 
 
+@pytest.mark.parametrize("at", [24, 40, 58, 67])
+def test_loops_go_on_from_any_frame_as_they_did(looping_run: Path, at: int) -> None:
+    assert replay(RunReader(looping_run), at, 3) == []
+
+
 def digest(run: RunReader, at: int) -> str:
     """One hash over all that frames from `at` on report and leave behind, repeated here and now."""
     state, found = run.state(at - 1), hashlib.sha256()
@@ -49,12 +54,14 @@ def digest(run: RunReader, at: int) -> str:
     return found.hexdigest()
 
 
-def test_another_process_repeats_the_same_bits(sample_run: Path) -> None:
-    code = "import sys; from test_time_travel import RunReader, digest; print(digest(RunReader(sys.argv[1]), 25))"
+@pytest.mark.parametrize(("name", "at"), [("sample_run", 25), ("looping_run", 60)])
+def test_another_process_repeats_the_same_bits(name: str, at: int, request: pytest.FixtureRequest) -> None:
+    run = request.getfixturevalue(name)
+    code = f"import sys; from test_time_travel import RunReader, digest; print(digest(RunReader(sys.argv[1]), {at}))"
     folders = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]
     code = f"import sys; sys.path[:0] = {folders!r}; {code}"
-    other = subprocess.run([sys.executable, "-c", code, str(sample_run)], capture_output=True, text=True, check=True)
-    assert other.stdout.strip() == digest(RunReader(sample_run), 25)
+    other = subprocess.run([sys.executable, "-c", code, str(run)], capture_output=True, text=True, check=True)
+    assert other.stdout.strip() == digest(RunReader(run), at)
 
 
 @pytest.mark.slow

@@ -168,6 +168,8 @@ def judge(params: Loop, nodes: Arrived, candidate: LoopCandidate) -> LoopCandida
 def settle(nodes: Arrived, report: LoopReport) -> Node:
     """The node of the newest keyframe once `report` has decided: what it asks for, and what it is tied to."""
     node = nodes.node
+    if not all(g.passed for g in report.gates if g.decides):
+        return node  # its candidates are not asked
     asks: list[Ask] = []
     for c in report.candidates:
         agreement = next((g for g in c.gates if g.name == "agreement"), None)

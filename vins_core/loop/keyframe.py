@@ -107,14 +107,20 @@ class Keyframes(Sequence[LoopKeyframe]):
     """A list that only grows, shared by all states of a run: each of them refers to a beginning of it.
 
     `earlier`: keyframes that come before its own, wherever they are kept (a record, a loaded map).
-    Its inverted index is derived: made when it is asked for, and kept for the newest length that was.
+    Its inverted index is derived: made when it is asked for, and kept for the newest length that was; `known` may be
+    one of the first of them.
     """
 
-    def __init__(self, earlier: Sequence[LoopKeyframe] = ()) -> None:
+    def __init__(self, earlier: Sequence[LoopKeyframe] = (), known: InvertedIndex | None = None) -> None:
         self._earlier, self._n_earlier = earlier, len(earlier)
         self._own: list[LoopKeyframe] = []
-        self._index = InvertedIndex()
+        self._index = known or InvertedIndex()
         self._lock = Lock()
+
+    @property
+    def known(self) -> InvertedIndex:
+        """The index as far as it has been made."""
+        return self._index
 
     def __len__(self) -> int:
         return self._n_earlier + len(self._own)

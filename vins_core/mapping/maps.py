@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import MapError, RunError, VocabularyError
+from ..loop.consistency import Way
 from ..loop.describe import BYTES, Brief, Describer, describer_named
 from ..loop.keyframe import LoopKeyframe
 from ..loop.vocabulary import Vocabulary
@@ -53,8 +54,8 @@ def load(folder: Path, camera: CameraCalibration) -> Places:
         for k in range(len(parts)):
             blob = Blob(parts[f"keyframes-{k}"], f"part {k} of the keyframes of {folder}")
             keyframes += blob.get("keyframes", tuple[LoopKeyframe, ...])
-        for keyframe in keyframes:
-            _check_keyframe(keyframe, words.vocabulary)
+        for number, keyframe in enumerate(keyframes):
+            check_keyframe(number, keyframe, words.vocabulary)
         if len(keyframes) != len(graph):
             raise ValueError(f"it has {len(graph)} poses and {len(keyframes)} keyframes")
         describer = _describer(words)
@@ -99,18 +100,30 @@ def _check_vocabulary(words: Vocabulary) -> None:
         raise ValueError("its vocabulary is no tree of words")
 
 
-def _check_keyframe(keyframe: LoopKeyframe, words: Vocabulary) -> None:
-    n, bag = len(keyframe.uv_px), keyframe.bag
+def check_keyframe(number: int, keyframe: LoopKeyframe, words: Vocabulary) -> None:
+    """Raises ValueError for what no loop stage made: its arrays do not fit, or it is reached from where it is not."""
+    n, bag, node = len(keyframe.uv_px), keyframe.bag, keyframe.node
     shapes = (
         keyframe.T_w_b.shape == (7,)
         and keyframe.T_b_c.shape == (4, 4)
         and keyframe.points_w.shape[1:] == (3,)
+        and keyframe.track_ids.ndim == 1
         and keyframe.n_landmarks <= len(keyframe.track_ids) <= n
         and keyframe.uv_px.shape == (n, 2)
         and keyframe.rays.shape == (n, 3)
         and keyframe.descriptors.shape == (n, BYTES)
         and keyframe.descriptors.dtype == np.uint8
-        and bag.words.shape == bag.values.shape
+        and bag.words.shape == bag.values.shape == (len(bag),)
+        and (keyframe.odometry is None or keyframe.odometry.shape == (6, 6))
     )
     if not shapes or (len(bag) and not 0 <= bag.words.min() <= bag.words.max() < words.n_words):
-        raise ValueError(f"keyframe {keyframe.frame} contradicts itself")
+        raise ValueError(f"keyframe {number} contradicts itself")
+    if node is not None and not (_sound(node.odometry, number) and _sound(node.tied, number)):
+        raise ValueError(f"keyframe {number} is reached from no earlier one")
+
+
+def _sound(way: Way, number: int) -> bool:
+    """Does a way lead back to the root of its tree?"""
+    back = way.tie == -1 if way.chain == way.tree else way.tree <= way.tie < way.chain
+    motion = way.motion.T_a_b.shape == (7,) and way.motion.covariance.shape == (6, 6)
+    return 0 <= way.tree <= way.chain <= number and back and motion

@@ -230,7 +230,7 @@ class LoopStudy:
                 continue
             entry = said.keyframe
             of = summaries[s.frame - 1] if entry is None else entry  # it is the frame before that was left out
-            number = -1 if entry is None else entry.number
+            number = -1 if entry is None else self.first + len(self._own)
             row = LoopRow(number, of.frame, s.frame, of.t_ns, said.outcome, said.match, said.n_candidates)
             self._rows.append(row)
             if entry is not None:

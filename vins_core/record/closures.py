@@ -12,10 +12,12 @@ from threading import Lock
 
 import numpy as np
 
+from ..errors import RunError
 from ..loop.keyframe import Keyframes, LoopKeyframe
 from ..loop.relocalize import RelocalisationRequest
 from ..loop.step import LoopState, Moved
 from ..mapping.closure import Closure, Optimization, PendingLoop
+from ..mapping.maps import check_keyframe
 from ..mapping.places import Places
 from ..pose_graph.graph import Pair, PoseGraph, Session, extend
 from ..report import FrameSummary, KeyframeEntry, LoopEdge
@@ -83,10 +85,10 @@ def _mark_graph(graph: PoseGraph) -> GraphMark:
 class RecordedMap:
     """What a run has added to the map it began with, as far as it has been read."""
 
-    def __init__(self, places: Places, load: Callable[[int], LoopKeyframe]) -> None:
-        """`load`: the keyframe that a frame made."""
+    def __init__(self, places: Places, load: Callable[[int], LoopKeyframe], where: str) -> None:
+        """`load`: the keyframe that a frame made; `where` names the file that it is read from."""
         self.places = places
-        self._load = load
+        self._load, self._where = load, where
         self._frames: list[int] = []  # that made a keyframe
         self._graph = places.graph
         self._keyframes = Keyframes(places.keyframes)
@@ -104,8 +106,8 @@ class RecordedMap:
                 self._graph = _extended(self._graph, [entry for _, entry in made], edges)
             if made:
                 self._frames += [frame for frame, _ in made]
-                recorded = _Recorded(self.places.keyframes, tuple(self._frames), self._load)
-                self._keyframes = Keyframes(recorded)
+                recorded = _Recorded(self.places.keyframes, tuple(self._frames), self._checked)
+                self._keyframes = Keyframes(recorded, self._keyframes.known)
 
     @property
     def keyframes(self) -> Keyframes:
@@ -124,6 +126,14 @@ class RecordedMap:
             mark.n_loops_begun,
             mark.fast_drift,
         )
+
+    def _checked(self, number: int, frame: int) -> LoopKeyframe:
+        keyframe = self._load(frame)
+        try:
+            check_keyframe(number, keyframe, self.places.vocabulary)
+        except ValueError as problem:
+            raise RunError(f"frame {frame} of {self._where} is damaged: {problem}") from None
+        return keyframe
 
     def _graph_at(self, mark: GraphMark) -> PoseGraph:
         return replace(
@@ -153,8 +163,9 @@ class _Recorded(Sequence[LoopKeyframe]):
     """Keyframes of a map, then those of a run's frames, each read when it is asked for."""
 
     def __init__(
-        self, base: Sequence[LoopKeyframe], frames: tuple[int, ...], load: Callable[[int], LoopKeyframe]
+        self, base: Sequence[LoopKeyframe], frames: tuple[int, ...], load: Callable[[int, int], LoopKeyframe]
     ) -> None:
+        """`load(number, frame)`"""
         self._base, self._frames, self._load = base, frames, load
 
     def __len__(self) -> int:
@@ -164,4 +175,4 @@ class _Recorded(Sequence[LoopKeyframe]):
         if isinstance(k, slice):
             return [self[i] for i in range(*k.indices(len(self)))]
         n = len(self._base)
-        return self._base[k] if k < n else self._load(self._frames[k - n])
+        return self._base[k] if k < n else self._load(k, self._frames[k - n])

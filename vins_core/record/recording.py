@@ -347,7 +347,7 @@ class RunReader:
         from .closures import RecordedMap
 
         places = maps.load(self.path / MAP, self.header.calibration.cameras[0])
-        return RecordedMap(places, lambda k: self._section(k, "keyframe", LoopKeyframe))
+        return RecordedMap(places, lambda k: self._section(k, "keyframe", LoopKeyframe), str(self.path / FRAMES))
 
     def _read_blob(self, k: int) -> tuple[Blob, int]:
         blob = Blob(self._frames.read(self._blocks[k]), f"frame {k} of {self.path / FRAMES}")
