@@ -435,7 +435,7 @@ class Gps:
         float,
         Range(0, 1),
         Doc("share of the window's fixes that agree; below it the alignment is made anew (parity: 0)"),
-    ] = 0.5
+    ] = 0.3
     max_outage_s: Annotated[float, Range(0.1, 1e4), Doc("time since the last fix that counted (advisory)", "s")] = 3.0
     window: Annotated[int, Range(5, 500), Doc("moments with fixes whose poses and verdicts are still open")] = 40
     lever_arm: Annotated[bool, Doc("mind where the antenna is on the body (parity: off)")] = True

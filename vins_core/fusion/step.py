@@ -113,7 +113,7 @@ def _take_in(
     if state.prior is not None:
         prediction = _predict(settings, state)
         innovations = tuple(prediction.innovation(a) for a in anchors) if state.aligned else ()
-        found = window.extend(settings, state, node, prediction.x, [prediction.innovation(a) for a in anchors])
+        found = window.extend(settings, state, node, prediction.x)
         if found is None or not _agreement(settings, found.judgement.used).passed:
             outcome, found = "the alignment was lost: most fixes disagree with it", None
     held, nodes = found is not None, (*state.nodes, node)

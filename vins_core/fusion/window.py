@@ -31,6 +31,9 @@ from .state import GpsState, Node
 LINEAR_YAW_DEG = 5.0
 """With a heading known that well the oldest node may leave a prior; before, its Jacobians would be wrong for good."""
 
+NEWEST = 2
+"""So many fixes out in a row put the ones before them in question."""
+
 
 @dataclass(frozen=True)
 class Found:
@@ -81,22 +84,25 @@ def lay_out(p_o_b: np.ndarray, yaw_rad: float, shift_e: np.ndarray, fixes: Fixes
     return np.array([node_at(p, yaw_rad) for p in p_e_b])
 
 
-def extend(
-    settings: params.Gps,
-    state: GpsState,
-    node: Node,
-    predicted: np.ndarray,
-    innovations: list[tuple[np.ndarray, np.ndarray]],
-) -> Found | None:
-    """The window with one more node (8,), from where it was last; innovations of the node's anchors, with covariances.
+def extend(settings: params.Gps, state: GpsState, node: Node, predicted: np.ndarray) -> Found | None:
+    """The window with one more node, predicted at (8,), from where it was last.
 
-    If a new fix does not fit the prediction, one of those that did before may be wrong: all are asked again.
+    If the newest fixes are all out, it may be that one before them is wrong and they are right, as after an outage.  So
+    the window is judged a second time with all its fixes as equals, and the cheaper of the two stands.
     """
     assert state.prior is not None
     chain = assemble(settings, (*state.nodes, node), state.prior)
-    fits = all(r @ np.linalg.solve(S, r) <= settings.max_chi2 for r, S in innovations)
-    used = np.concatenate([state.used, np.ones(len(innovations), bool)]) if fits else np.ones(len(chain.fixes), bool)
-    return _judged(settings, chain, np.concatenate([state.x, predicted[None]]), used)
+    x, new = np.concatenate([state.x, predicted[None]]), np.ones(len(node.anchors), bool)
+    found = _judged(settings, chain, x, np.concatenate([state.used, new]))
+    if found is None or found.judgement.used[-NEWEST:].any():
+        return found
+    other = _judged(settings, chain, x, np.ones(len(chain.fixes), bool))
+    return min(found, other or found, key=lambda f: _price(settings, f.judgement))
+
+
+def _price(settings: params.Gps, judgement: Judgement) -> float:
+    """The cost, with what it takes for a fix to be out for each that is: truncated least squares."""
+    return judgement.solution.cost + 0.5 * settings.max_chi2 * float(np.sum(~judgement.used))
 
 
 def slide(settings: params.Gps, state: GpsState) -> GpsState:

@@ -145,6 +145,19 @@ def test_outliers_that_come_first_after_an_outage_are_found_out_by_those_that_fo
     assert np.linalg.norm(run.track.error_m[-1, :2]) < 2.0
 
 
+def test_a_burst_of_fixes_that_agree_only_with_each_other_is_out():
+    """Three seconds 15 m beside the road, as by a reflection: the odometry did not go there."""
+    d = drive(1, SHORT, receiver=replace(CLEAN, outage_s=(900.0, 901.0)))
+    stamps = np.array([f.t_ns for f in d.fixes])
+    beside = np.flatnonzero((stamps > 15e9) & (stamps < 18e9))
+    d = replace(d, fixes=shifted(d.fixes, beside, d, (15.0, 5.0)))
+    run = live(settings(), d)
+    used = run.used(d)
+    assert not used[beside].any()
+    assert (~used).sum() <= len(beside) + 0.03 * len(used)
+    assert run.track.horizontal_rmse_m(run.track.known) < 0.8
+
+
 def test_odometry_that_jumps_is_aligned_anew_instead_of_locking_out_all_fixes():
     d = drive(4, SHORT, receiver=replace(CLEAN, outage_s=(900.0, 901.0)))
     T = d.T_o_b.copy()
