@@ -173,8 +173,6 @@ class Loops:
                 if view is not None:
                     self._view = view
                     self._on_answer()
-        except Exception:
-            log.exception("loops")
         finally:
             self._task = None
 
@@ -191,6 +189,9 @@ class Loops:
             return self._with_remedy(study, known)
         except VinspectError as problem:
             return LoopsView(wish, problem=str(problem))
+        except Exception as problem:
+            log.exception("loops, keyframe %d", wish.query)
+            return LoopsView(wish, problem=f"The loops could not be worked out ({type(problem).__name__}).")
 
     def _answer(self, study: LoopStudy, wish: Wish) -> LoopsView | None:
         rows = {row.number: row for row in study.rows() if row.number >= 0}

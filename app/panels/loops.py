@@ -120,7 +120,7 @@ def _answer(seen: LoopsView) -> Html:
     """Which question is answered, for whoever waits for it."""
     changed = " ".join(f"{key}={figures(value)}" for key, value in seen.wish.changes)
     state = "busy" if seen.busy or not seen.complete else "complete"
-    return tag("i", hidden="hidden", data_loops=state, data_of=changed)
+    return tag("i", hidden="hidden", data_loops=state, data_of=changed or "the run")
 
 
 def _settings(ctx: PanelContext, seen: LoopsView) -> Iterator[Html]:
