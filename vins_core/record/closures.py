@@ -42,7 +42,6 @@ class ClosureMark:
     n: int
     seen: int
     since: int
-    moved: Moved | None
     graph: GraphMark
     session_open: bool
     pending: tuple[PendingLoop, ...]
@@ -51,6 +50,7 @@ class ClosureMark:
     begun_ns: int | None
     n_loops_begun: int
     fast_drift: np.ndarray
+    moved: Moved | None = None
 
 
 def mark(closure: Closure) -> ClosureMark:
@@ -59,7 +59,6 @@ def mark(closure: Closure) -> ClosureMark:
         closure.loops.n,
         closure.loops.seen,
         closure.loops.since,
-        closure.loops.moved,
         _mark_graph(closure.graph),
         closure.session_open,
         closure.pending,
@@ -68,6 +67,7 @@ def mark(closure: Closure) -> ClosureMark:
         closure.begun_ns,
         closure.n_loops_begun,
         closure.fast_drift,
+        closure.loops.moved,
     )
 
 
