@@ -12,7 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import CalibrationError
+from ..geometry.field_of_view import widest_angle_rad
 from ..sensors import Calibration
 from . import euroc_yaml, kalibr_yaml, openvins_yaml, own_yaml, vins_yaml
 from .asl import AslRecording
@@ -24,6 +27,11 @@ FORMATS = (
     "a VINS-Mono or VINS-Fusion config, OpenVINS' estimator_config.yaml, Kalibr's camchain and imu files, "
     "EuRoC sensor.yaml files or vinspect's own"
 )
+
+
+RESIDUAL = "projection.residual"
+WIDE_RAD = np.radians(65.0)
+"""From here on pixels at the border weigh less than a fifth of those in the middle on the plane."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +70,19 @@ def read_calibration(paths: Sequence[Path | str], recording: Recording | None = 
     else:
         names = ", ".join(str(f.path) for f in files)
         raise CalibrationError(f"{names}: unknown calibration format; expected {FORMATS}")
+    settings = _with_residual(settings)
     return settings if recording is None else _with_topics(settings, recording)
+
+
+def _with_residual(settings: Settings) -> Settings:
+    """On the normalised plane noise grows with 1 / cos^2 of the angle to the axis: a wide lens needs the sphere."""
+    angle = max(widest_angle_rad(camera.model) for camera in settings.calibration.cameras)
+    if angle < WIDE_RAD or RESIDUAL in settings.overrides:
+        return settings
+    note = f"the lens looks {np.degrees(angle):.0f} degrees off its axis: {RESIDUAL} is sphere unless you set it"
+    return dataclasses.replace(
+        settings, overrides={**settings.overrides, RESIDUAL: "sphere"}, notes=(*settings.notes, note)
+    )
 
 
 def _from_recording(recording: Recording | None) -> Settings:

@@ -56,6 +56,9 @@ LEVEL = Rig(
 )
 STEREO = replace(PINHOLE, T_c0_c1=_beside(0.12, (0.5, -0.4, 0.3)))
 
+WIDE = {"frontend.min_dist": 15, "projection.residual": "sphere"}
+"""Parameters for lenses that look far off their axis."""
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -165,18 +168,22 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
             "The room loop through a Kannala-Brandt camera of 190 degrees whose corners look behind, on the body of "
             "the pinhole camera.",
             rig=replace(PINHOLE, camera=lenses.KB_190),
+            parameters=WIDE,
         ),
         "mei_camera": Scenario(
             "The room loop through a unified (MEI) camera of 140 degrees on the body of the pinhole camera.",
             rig=replace(PINHOLE, camera=lenses.MEI),
+            parameters=WIDE,
         ),
         "scaramuzza_camera": Scenario(
             "The room loop through a Scaramuzza camera of 120 degrees on the body of the pinhole camera.",
             rig=replace(PINHOLE, camera=lenses.SCARAMUZZA),
+            parameters=WIDE,
         ),
         "rational_camera": Scenario(
             "The room loop through a rational pinhole camera of 130 degrees on the body of the pinhole camera.",
             rig=replace(PINHOLE, camera=lenses.RATIONAL),
+            parameters=WIDE,
         ),
         "stereo": Scenario(
             "The room loop with a second camera 12 cm to the right; both take their images at once.",

@@ -7,6 +7,7 @@ import pytest
 
 from vins_core.errors import CalibrationError
 from vins_core.geometry.camera import MODELS, camera_from_dict, camera_to_dict
+from vins_core.geometry.field_of_view import widest_angle_rad
 from vins_core.geometry.kannala_brandt import KannalaBrandt
 from vins_core.geometry.mei import Mei
 from vins_core.geometry.pinhole_radtan import PinholeRadtan
@@ -165,6 +166,11 @@ def test_the_image_goes_on_through_90_degrees_without_a_jump(camera):
     angle = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
     assert rays[:, 2].min() < -0.08
     assert (np.diff(angle) > 0).all() and np.diff(angle).max() < 20 * np.diff(angle)[0]
+
+
+def test_the_widest_angle_is_that_of_the_farthest_corner():
+    assert widest_angle_rad(PINCUSHION) == pytest.approx(math.acos(PINCUSHION.lift(np.zeros((1, 2)))[0, 2]))
+    assert math.degrees(widest_angle_rad(HALF_A_SPHERE_AND_MORE)) > 120, "corners without a ray do not hide the rest"
 
 
 def test_kannala_brandt_agrees_with_opencv_up_to_90_degrees():

@@ -143,7 +143,9 @@ def test_tuning_keys_become_valid_parameters(tmp_path: Path) -> None:
 
 
 def test_keys_that_change_nothing_are_noted_with_the_reason(tmp_path: Path) -> None:
-    notes = read(tmp_path, VINS_MONO + "estimate_extrinsic_typo: 2\nfast_relocalization: 0\nvisualize_imu_forward: 1\n").notes
+    notes = read(
+        tmp_path, VINS_MONO + "estimate_extrinsic_typo: 2\nfast_relocalization: 0\nvisualize_imu_forward: 1\n"
+    ).notes
     for said in (
         "max_solver_time is not used: a run never depends on the clock",
         "fast_relocalization is not used: `loop.relocalize` says how many",
@@ -234,7 +236,11 @@ def test_a_vins_fusion_config_is_read_with_the_camera_beside_it(tmp_path: Path) 
     assert np.array_equal(right.T_b_c[:3, 3], [0.2, 0.2, 0.3])
     assert found.calibration.td_s == -0.005
     assert found.calibration.estimate_td and found.calibration.extrinsics == "refine"
-    assert found.overrides == {"frontend.max_cnt": 150, "frontend.flow_back": False}
+    assert found.overrides == {
+        "frontend.max_cnt": 150,
+        "frontend.flow_back": False,
+        "projection.residual": "sphere",  # the fisheye
+    }
     assert any(note.startswith("multiple_thread") for note in found.notes)
     assert not any("not known" in note for note in found.notes)
 

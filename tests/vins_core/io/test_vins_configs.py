@@ -255,6 +255,14 @@ def test_a_polynomial_that_looks_backwards_is_refused_with_the_file(tmp_path: Pa
         read(tmp_path, with_camera(BLOCKS["scaramuzza"].replace("p0: -24.6", "p0: 24.6")))
 
 
+def test_a_lens_that_looks_far_off_its_axis_gets_the_residual_on_the_sphere(tmp_path: Path) -> None:
+    wide, narrow = read(tmp_path, with_camera(BLOCKS["scaramuzza"])), read(tmp_path, VINS_MONO)
+    assert wide.overrides["projection.residual"] == "sphere" and "projection.residual" not in narrow.overrides
+    assert any("degrees off its axis: projection.residual is sphere" in note for note in wide.notes)
+    own_yaml.write(tmp_path / "own.yaml", wide.calibration, {"projection.residual": "plane"})
+    assert read_calibration([tmp_path / "own.yaml"]).overrides["projection.residual"] == "plane", "the file wins"
+
+
 # -- modes ---------------------------------------------------------------------------------------------------------
 
 
