@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 MIN_CURVATURE = 0.2
@@ -41,6 +42,15 @@ class Loss:
             return a2 * np.log1p(s / a2)
         if self.kind == "huber":
             return np.where(s <= a2, s, 2.0 * self.scale * np.sqrt(s) - a2)
+        return s
+
+    def rho_symbolic(self, s: ca.SX) -> ca.SX:
+        """rho of a CasADi expression, for solvers that want exact derivatives."""
+        a2 = self.scale * self.scale
+        if self.kind == "cauchy":
+            return a2 * ca.log(1 + s / a2)
+        if self.kind == "huber":
+            return ca.if_else(s <= a2, s, 2 * self.scale * ca.sqrt(ca.fmax(s, a2)) - a2)
         return s
 
     def weight(self, s: np.ndarray) -> np.ndarray:

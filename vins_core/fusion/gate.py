@@ -10,6 +10,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import params
 from ..geometry import so3
@@ -28,7 +29,7 @@ class Admission:
 
 def admit(
     settings: params.Gps,
-    p_b_gps: np.ndarray,
+    p_b_gps: ArrayLike,
     origin: EnuFrame | None,
     track: Track,
     node: int,

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from ..factors.gps import ANTENNA, DRIFT
-from ..factors.robust import Loss
 from ..factors.symbolic import conjugate, multiply, small_rotation
 from .chain import Chain
 from .drift import SIZE
@@ -69,15 +68,5 @@ def _cost(chain: Chain, nodes: list[ca.SX], used: np.ndarray) -> ca.SX:
         total += 0.5 * ca.bilin(ca.DM(information), r, r)
     for m in np.flatnonzero(used).tolist():
         r = antenna(nodes[chain.fixes.node[m]][:7], chain.fix_data[:, m])
-        total += 0.5 * _rho(chain.loss, ca.bilin(ca.DM(chain.fix_information[m]), r, r))
+        total += 0.5 * chain.loss.rho_symbolic(ca.bilin(ca.DM(chain.fix_information[m]), r, r))
     return total
-
-
-def _rho(loss: Loss, s: ca.SX) -> ca.SX:
-    """`Loss.rho` of a squared norm."""
-    a = loss.scale
-    if loss.kind == "cauchy":
-        return a * a * ca.log(1 + s / (a * a))
-    if loss.kind == "huber":
-        return ca.if_else(s <= a * a, s, 2 * a * ca.sqrt(ca.fmax(s, a * a)) - a * a)
-    return s

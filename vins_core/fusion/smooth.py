@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import params
 from ..factors.robust import Loss
@@ -54,7 +55,7 @@ class Posed:
 
 
 def smooth(
-    settings: params.Gps, p_b_gps: np.ndarray, t_ns: np.ndarray, T_o_b: np.ndarray, fixes: Sequence[GpsFix]
+    settings: params.Gps, p_b_gps: ArrayLike, t_ns: np.ndarray, T_o_b: np.ndarray, fixes: Sequence[GpsFix]
 ) -> Smoothed | str:
     """Frames (n,) with their odometry poses (n, 7) and all fixes; instead of a trajectory, why there is none.
 

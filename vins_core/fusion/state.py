@@ -79,6 +79,11 @@ def restart(state: GpsState) -> GpsState:
     return GpsState(origin=state.origin)
 
 
+def forget(state: GpsState) -> GpsState:
+    """As if fixes came only from now on: the odometry goes on, and is aligned anew."""
+    return GpsState(origin=state.origin, recent=state.recent, early=state.early)
+
+
 @dataclass(frozen=True)
 class Track:
     """Consecutive frames of one odometry."""

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .. import params
 from ..geometry import heading, poses, so3
@@ -20,7 +21,7 @@ from . import window
 from .chain import free_components, full_covariance, predict, predict_covariance
 from .drift import ROTATION, SCALE, SIZE, between, compose, nothing
 from .gate import Admission, admit, chi2_gate, refuse
-from .state import Anchor, GpsState, Node, OdometryPose, Track
+from .state import Anchor, GpsState, Node, OdometryPose, Track, forget
 
 YAW = 5
 """Of the error state."""
@@ -53,12 +54,15 @@ class _Intake:
 
 
 def step(
-    settings: params.Gps, p_b_gps: np.ndarray, state: GpsState, frame: OdometryPose, fixes: Sequence[GpsFix]
+    settings: params.Gps, p_b_gps: ArrayLike, state: GpsState, frame: OdometryPose, fixes: Sequence[GpsFix]
 ) -> tuple[GpsState, GpsReport]:
     """The next frame of the odometry with the fixes that arrived since the last one, in any order.
 
-    p_b_gps (3,): where the antenna is on the body, m.  After the odometry began anew, `state.restart` comes first.
+    p_b_gps (3,): where the antenna is on the body, m.  Stamps of frames and fixes are of one clock; a frame's is that
+    of its pose (t_image + td).  After the odometry began anew, `state.restart` comes first.
     """
+    if state.prior is not None and len(state.prior.gradient) != len(free_components(settings)):
+        state = forget(state)  # other parameters now: what is known is not what is asked
     before = dict(zip((a.t_ns for a in state.anchors), state.verdicts))
     state = _advance(settings, state, frame)
     state, admissions = _admit(settings, p_b_gps, state, frame, fixes)
@@ -83,7 +87,7 @@ def _advance(settings: params.Gps, state: GpsState, frame: OdometryPose) -> GpsS
 
 
 def _admit(
-    settings: params.Gps, p_b_gps: np.ndarray, state: GpsState, frame: OdometryPose, fixes: Sequence[GpsFix]
+    settings: params.Gps, p_b_gps: ArrayLike, state: GpsState, frame: OdometryPose, fixes: Sequence[GpsFix]
 ) -> tuple[GpsState, list[Admission]]:
     """The fixes up to this frame, judged by themselves; those after it wait for the next."""
     track, origin = Track.of(state.recent), state.origin

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..factors.robust import Loss
 from ..factors.symbolic import multiply, small_rotation
 from .problem import Problem
 
@@ -64,16 +63,6 @@ def _cost(problem: Problem, nodes: ca.SX) -> ca.SX:
     total = ca.SX(0)
     for row, (i, j) in enumerate(zip(problem.edges.i.tolist(), problem.edges.j.tolist())):
         s = ca.sumsqr(residual(nodes[:, i], nodes[:, j], problem.data[:, row]))
-        rho = _rho(problem.loss, s) if problem.robust[row] else s
+        rho = problem.loss.rho_symbolic(s) if problem.robust[row] else s
         total += 0.5 * problem.outer[row] ** 2 * rho
     return total
-
-
-def _rho(loss: Loss, s: ca.SX) -> ca.SX:
-    """`Loss.rho` of a squared norm."""
-    a = loss.scale
-    if loss.kind == "cauchy":
-        return a * a * ca.log(1 + s / (a * a))
-    if loss.kind == "huber":
-        return ca.if_else(s <= a * a, s, 2 * a * ca.sqrt(ca.fmax(s, a * a)) - a * a)
-    return s

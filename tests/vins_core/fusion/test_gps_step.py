@@ -250,6 +250,17 @@ def test_a_recorded_state_goes_on_bit_for_bit(short, short_live):
     np.testing.assert_array_equal(last.covariance, short_live.reports[-1].covariance)
 
 
+@pytest.mark.parametrize("changes", [{"dof": "6"}, {"scale_sigma": 0.0}, {"window": 12}, {"noise": "frame"}])
+def test_parameters_may_change_while_it_runs(short, short_live, changes):
+    k = 200
+    *_, (state, _) = steps(settings(), replace(short, t_ns=short.t_ns[:k], T_o_b=short.T_o_b[:k]))
+    rest = tuple(f for f in short.fixes if f.t_ns > short.t_ns[k - 1])
+    other = replace(short, t_ns=short.t_ns[k:], T_o_b=short.T_o_b[k:], fixes=rest)
+    *_, (state, report) = steps(settings(**changes), other, state)
+    assert report.status is GpsStatus.FUSING
+    assert np.linalg.norm(report.T_e_b[:3] - short_live.track.truth[-1, :3]) < 3.0
+
+
 def test_frames_must_come_in_order(short):
     state, _ = step(settings(), short.p_b_gps, GpsState(), OdometryPose(100, short.T_o_b[0]), [])
     with pytest.raises(ValueError, match="comes after"):
