@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from chromium import OpenPage, Serve, wait_for_frame
+from chromium import OpenPage, Serve, move, open_tab, session_of, wait_for_frame, wait_until
 from playwright.sync_api import Page, expect
 from sample import INITIALISED
 
 from app.runs import open_path
 from app.server import Server
-from app.session import Session
 from vins_core.io.params_yaml import read_params
 from vins_core.params import OFFERED
 from vins_core.record.recording import RunReader
@@ -34,27 +32,6 @@ def page(server: Server, open_page: OpenPage) -> Page:
     page.evaluate(f"vi.send({{k: 'frame', i: {FRAME}}})")
     wait_for_frame(page, FRAME)
     return page
-
-
-def session_of(server: Server) -> Session:
-    return list(server.sessions.values())[-1]
-
-
-def open_tab(page: Page, name: str) -> None:
-    page.get_by_role("tab", name=name, exact=True).click()
-
-
-def move(page: Page, key: str, place: int) -> None:
-    """Put the slider of a knob at `place` of 1000."""
-    page.get_by_role("slider", name=key).fill(str(place))
-
-
-def wait_until(page: Page, holds: Callable[[], bool], seconds: float = 30) -> None:
-    for _ in range(int(seconds / 0.05)):
-        if holds():
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError("it never came")
 
 
 def test_every_parameter_is_a_knob_and_the_search_finds_them(page: Page) -> None:
@@ -242,69 +219,16 @@ def test_a_link_reproduces_a_view(page: Page, server: Server, open_page: OpenPag
     wait_until(other, lambda: there.opened.id == id and there.layout.name == "compare")
 
 
-def test_a_layout_of_ones_own_is_saved_and_offered(page: Page, server: Server) -> None:
-    open_tab(page, "Layers")
-    page.get_by_label("IMU edges by residual").uncheck()
-    session = session_of(server)
-    wait_until(page, lambda: session.workspace.boxes["imu.edges"].value is False)
-    server._viser.get_event_loop().call_soon_threadsafe(session.save_layout, "My view")
-    page.wait_for_function("location.search.includes('layout=my-view')")
-    page.keyboard.press("Alt+1")
-    wait_until(page, lambda: session.layout.name == "default")
-    assert session.layout.layers.get("imu.edges", True)
-    server._viser.get_event_loop().call_soon_threadsafe(session.reproduce, "", -1, "my-view")
-    wait_until(page, lambda: session.layout.title == "My view")
-    assert session.layout.layers["imu.edges"] is False
-
-
-def test_a_block_of_the_prior_selects_both_its_frames(page: Page, server: Server) -> None:
-    page.keyboard.press("Alt+4")
-    panel = page.locator("[data-vip=prior]").first
-    expect(panel).to_contain_text("null-space check", ignore_case=True)
-    expect(panel.locator(".vi-chip", has_text="leaks")).to_have_count(1)
-    seen = session_of(server).opened.view.prior(FRAME)
-    n = len(seen.blocks)
-    panel.locator(".vi-cell").nth(1 * n + 3).click()
-    wait_until(page, lambda: session_of(server).selection.kind == "frame")
-    picked = session_of(server).selection
-    assert {picked.id, picked.other} == {seen.blocks[1].frame, seen.blocks[3].frame}
-    expect(panel.locator(".vi-picked")).to_have_count(4)
-
-
-def test_the_matrix_is_shown_before_and_after_marginalisation(page: Page, server: Server) -> None:
-    page.keyboard.press("Alt+4")
-    view = session_of(server).opened.view
-    frame = next(k for k in range(FRAME, len(view)) if view.report(k).marginalization.kind == "MARGIN_OLD")
-    page.evaluate(f"vi.send({{k: 'frame', i: {frame}}})")
-    wait_for_frame(page, frame)
-    report = view.report(frame).marginalization
-    for side, size in (("before", report.m + report.n), ("fill-in", report.n), ("after", report.n)):
-        page.get_by_role("button", name=side, exact=True).click()
-        expect(page.locator("[data-vip=prior] [data-matrix]")).to_have_attribute("data-matrix", str(size))
-        expect(page.get_by_role("button", name=side, exact=True)).to_have_attribute("aria-pressed", "true")
-    page.locator("[data-vip=prior] .vi-link", has_text="first_estimates").click()
-    expect(page.locator("[data-knob='marginalization.first_estimates']")).to_be_in_viewport()
-
-
-def test_what_leaked_over_time_is_a_signal(page: Page, server: Server) -> None:
-    page.keyboard.press("Alt+4")
-    view = session_of(server).opened.view
-    frame = next(k for k in range(len(view) - 1, 0, -1) if view.report(k).marginalization.kind == "MARGIN_OLD")
-    page.evaluate(f"vi.send({{k: 'frame', i: {frame}}})")
-    wait_for_frame(page, frame)
-    shown = page.locator("[data-signal='leak.yaw']").inner_text()
-    assert float(shown.split()[0]) == pytest.approx(float(view.prior(frame).leaks[3]), rel=0.01)
-
-
-def test_ipopt_says_whether_this_is_the_optimum(page: Page) -> None:
-    open_tab(page, "Inspect")
-    page.get_by_role("button", name="Is this the optimum?").click()
-    answer = page.locator("[data-optimum]")
-    for words in ("IPOPT", "total", "inverse depth", "iterations in"):
-        expect(answer).to_contain_text(words)
-    page.keyboard.press("ArrowRight")
-    wait_for_frame(page, FRAME + 1)
-    expect(page.locator("[data-optimum]")).to_have_count(0)
+def test_control_enter_forks_with_what_has_just_been_typed(page: Page, server: Server) -> None:
+    open_tab(page, "What-if")
+    page.locator("[data-knob='window.pixel_sigma'] .vi-num").fill("2.25")
+    page.keyboard.press("Control+Enter")
+    wait_until(page, lambda: len(list(server.store)) == 2)
+    fork = list(server.store)[1]
+    wait_until(page, lambda: fork.view is not None, 60)
+    assert fork.view is not None and fork.view.header.parent is not None
+    assert dict(fork.view.header.parent.changes) == {"window.pixel_sigma": 2.25}
+    assert fork.view.header.parent.frame == FRAME
 
 
 def test_initialised_frames_have_a_window(sample_run: Path) -> None:
