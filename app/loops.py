@@ -31,7 +31,7 @@ log = logging.getLogger("vinspect")
 WINDOW = 15
 """Rows of the table on either side of the keyframe looked at."""
 KEEP_PAIRS = 16
-SLICE_S = 0.25
+SLICE_S = 1.0
 """How long keyframes are judged before the page shows how far that is."""
 
 FILTERS = ("all", "accepted", "refused", "missed", "wrong", "gained", "lost")
@@ -184,7 +184,8 @@ class Loops:
             if known is None:
                 return self._answer(study, wish)
             if not known.complete:
-                _advance(study)
+                if left := _advance(study):
+                    return replace(known, judged=known.total - left, funnel=study.funnel())
                 return self._answer(study, wish)
             return self._with_remedy(study, known)
         except VinspectError as problem:
@@ -275,10 +276,12 @@ def _answered(view: LoopsView | None, wish: Wish) -> bool:
     return bool(view.problem) or (view.complete and view.remedy_known)
 
 
-def _advance(study: LoopStudy) -> None:
+def _advance(study: LoopStudy) -> int:
+    """Judge some more keyframes; returns how many are left."""
     end = time.monotonic() + SLICE_S
-    while study.advance() and time.monotonic() < end:
+    while (left := study.advance()) and time.monotonic() < end:
         pass
+    return left
 
 
 def _table(study: LoopStudy, wish: Wish, rows: dict[int, LoopRow], judged: Prediction) -> dict[str, Any]:

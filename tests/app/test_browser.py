@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from app.browser import GoTo, Knob, Page, Pick, Play, Seek, Step, boot_fragment, decode
+from app.browser import Apply, Edge, Fork, GoTo, Knob, Loops, Page, Pick, Play, Seek, Step, boot_fragment, decode
 from app.html import send
 from app.style import CSS
 from app.tooltips import TIPS
@@ -22,6 +22,11 @@ from app.tooltips import TIPS
         ('{"k":"play"}', Play()),
         ('{"k":"pick","t":"track","i":57}', Pick("track", 57)),
         ('{"k":"knob","key":"init.min_matches"}', Knob("init.min_matches")),
+        ('{"k":"pick","t":"loop","i":466,"j":21}', Pick("loop", 466, 21)),
+        ('{"k":"fork","at":12}', Fork(12)),
+        ('{"k":"loops","show":"missed"}', Loops("missed")),
+        ('{"k":"edge","do":"force","i":21,"j":466}', Edge("force", 21, 466)),
+        ('{"k":"apply","changes":{"loop.min_inliers":19}}', Apply({"loop.min_inliers": 19})),
         ('{"k":"page","panels":["camera"],"width":1600,"height":950,"canvas":640}', Page(("camera",), 1600, 950, 640)),
     ],
 )
@@ -31,7 +36,18 @@ def test_events_of_the_page_are_read(text: str, event: object) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[]", "7", '{"k":"boom"}', '{"k":"frame"}', '{"k":"frame","i":"1"}', '{"k":"seek","f":NaN}', '{"f":1}'],
+    [
+        "",
+        "{",
+        "[]",
+        "7",
+        '{"k":"boom"}',
+        '{"k":"edge","do":"burn"}',
+        '{"k":"frame"}',
+        '{"k":"frame","i":"1"}',
+        '{"k":"seek","f":NaN}',
+        '{"f":1}',
+    ],
 )
 def test_anything_else_is_ignored(text: str) -> None:
     assert decode(text) is None
