@@ -25,7 +25,7 @@ from ..record.recent import Recent
 from ..record.recording import RunReader
 from ..report import Gate, LoopCandidate, LoopOutcome, LoopReport
 from . import counterfactual
-from .counterfactual import UNANSWERED, VALUES, Judged, Prediction, Remedy, judge_run
+from .counterfactual import UNANSWERED, VALUES, Judgement, Prediction, Remedy, judge_run
 from .funnel import FunnelStage, funnel
 from .truth import Truth, revisited, true_poses, truth_of
 
@@ -93,7 +93,7 @@ class LoopStudy:
         self._facts: dict[int, Facts] = {}
         self._shortlists: dict[tuple[int, int], Shortlist] = {}
         self._evidence: dict[tuple[Any, ...], dict[tuple[int, int], LoopCandidate]] = {}
-        self._judged: Judged = ()
+        self._judged: tuple[Judgement, ...] = ()
         self._variants: dict[Any, dict[int, LoopReport]] = {}
         self._reports = Recent(self._examine_all, KEEP_REPORTS)
 
@@ -150,10 +150,10 @@ class LoopStudy:
             self._judgeable(self._params(row).loop, row)
         return len(missing) - min(n, len(missing))
 
-    def judged(self) -> Judged:
+    def judged(self) -> tuple[LoopReport, ...]:
         """The keyframes that `advance` has come to, as they were judged, with every gate and without matches."""
         known = takewhile(lambda row: row.number in self._variant(self._params(row).loop), self._own_rows())
-        return self._as_recorded(list(known))
+        return tuple(j.report for j in self._as_recorded(list(known)))
 
     def funnel(self) -> tuple[FunnelStage, ...]:
         """Of what the run accepted, over the keyframes that `advance` has come to."""
@@ -176,7 +176,10 @@ class LoopStudy:
         answered, unanswered = _answerable(changes)
         if not self._prepare(rows, answered, at, progress, cancelled):
             return None
-        before, after = self._as_recorded(rows), self._judge(rows, answered, at)
+        recorded = self._as_recorded(rows)
+        before, after = (
+            tuple(j.report for j in side) for side in (recorded, self._judge(rows, answered, at, recorded))
+        )
         first = next((row for row, a, b in zip(rows, before, after) if counterfactual.differs(a, b)), None)
         was, would = (counterfactual.pairs(reports, self.truth) for reports in (before, after))
         feedback = any(self._params(row).loop.relocalize for row in rows)
@@ -294,12 +297,14 @@ class LoopStudy:
                 self._judgeable(loop, row)
         return True
 
-    def _judge(self, rows: list[LoopRow], changes: Mapping[str, Any], at: int) -> Judged:
+    def _judge(
+        self, rows: list[LoopRow], changes: Mapping[str, Any], at: int, like: tuple[Judgement, ...] = ()
+    ) -> tuple[Judgement, ...]:
         settings = (self._changed(row, changes, at) for row in rows)
         given = ((loop, self._judgeable(loop, row)) for loop, row in zip(settings, rows))
-        return tuple(judge_run(given, self._places.vocabulary.limits, self._places.keyframes))
+        return tuple(judge_run(given, self._places.vocabulary.limits, self._places.keyframes, like))
 
-    def _as_recorded(self, rows: list[LoopRow]) -> Judged:
+    def _as_recorded(self, rows: list[LoopRow]) -> tuple[Judgement, ...]:
         """The first rows, judged as they were."""
         judged = self._judged
         if len(judged) != len(rows):
