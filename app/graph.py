@@ -5,10 +5,12 @@ Worked out in a thread, the latest wish wins; nothing of the run is changed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
+from vins_core.geometry import poses, so3
 from vins_core.mapping.closure import Closure, conclude
 from vins_core.mapping.study import LoopStudy
 from vins_core.mapping.truth import true_poses
@@ -22,6 +24,9 @@ from vins_core.sensors import Trajectory
 from .context import RunView
 from .loops import has_loops
 from .series import align_se3
+
+MAP_POINTS = 4000
+"""Landmarks of a loaded map that are drawn, about."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,8 @@ class GraphView:
     base: np.ndarray  # (n,) bool, of the map that the run began with
     edges: tuple[EdgeRow, ...]
     ate_m: tuple[float, float] | None  # of the keyframes: odometry, graph; None without truth
+    map_points: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    """(m, 3) m, landmarks of the map that the run began with, in the graph's world."""
     edited: np.ndarray | None = None  # (n, 3) m after the edits
     edited_ate_m: float | None = None
     report: PoseGraphReport | None = None  # of the optimisation after the edits
@@ -93,7 +100,7 @@ def graph_view(run: RunView, frame: int, edits: Edits) -> GraphView | None:
     before, after = graph.T_vio[:, :3], graph.T_corrected[:, :3]
     ate = [_ate(p, graph, base, run.truth) for p in (before, after)]
     known = None if ate[0] is None or ate[1] is None else (ate[0], ate[1])
-    view = GraphView(frame, edits, before, after, graph.session, base, edges, known)
+    view = GraphView(frame, edits, before, after, graph.session, base, edges, known, _map_points(run))
     if not edits:
         return view
     optimized, report = optimize(settings, edited(settings, graph, edits, run.loops))
@@ -129,6 +136,20 @@ def _loops(settings: Settings, graph: PoseGraph) -> Edges:
     """All loops, those that are disabled too."""
     edges = active_edges(settings, replace(graph, disabled=frozenset()))
     return edges[edges.is_loop]
+
+
+@lru_cache(maxsize=2)
+def _map_points(run: RunView) -> np.ndarray:
+    """What optimisation never moves: landmarks of a loaded map, thinned."""
+    places = run.reader.places
+    if places is None or not len(places.graph):
+        return np.zeros((0, 3), np.float32)
+    graph, found = places.graph, []
+    T_g_o = poses.correction(graph.T_corrected, graph.T_vio)
+    for T, keyframe in zip(T_g_o, places.keyframes):
+        found.append(T[:3] + so3.rotate(T[3:], keyframe.points_w))
+    points = np.concatenate(found)
+    return points[:: max(1, len(points) // MAP_POINTS)].astype(np.float32)
 
 
 def _ate(p: np.ndarray, graph: PoseGraph, base: np.ndarray, truth: Trajectory | None) -> float | None:

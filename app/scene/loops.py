@@ -1,9 +1,9 @@
 """The pose graph in 3D: keyframes before and after, loops by what became of them, and the selected pair.
 
 before, by the odometry     faint
-after                       solid, keyframes of a loaded map in the colour of another run
+after                       solid; keyframes and landmarks of a loaded map rose
 accepted loop               solid green; thinner the less the robust loss lets it count
-refused candidate           dashed vermillion, between the two places as the odometry has them
+refused candidate           dashed vermillion
 selected pair               yellow
 after the user's edits      pink
 seen again by the window    pink pyramid: the earlier keyframe as the window placed it
@@ -20,7 +20,7 @@ from .. import palette
 from ..graph import GraphView
 from .comparison import dash_edges, pyramid
 from .frame import SceneFrame, vertical_fov
-from .nodes import Segments
+from .nodes import Points, Segments
 from .trajectory import polyline
 
 FAINT = (62, 74, 86)
@@ -40,14 +40,15 @@ class LoopLayer:
         self._before = Segments(scene, "/loops/before", FAINT, 1.4)
         self._after = Segments(scene, "/loops/after", colour(palette.OK), 2.0)
         self._base = Segments(scene, "/loops/base", colour(palette.UNTRACKED), 2.0)
+        self._map = Points(scene, "/loops/map", colour(palette.UNTRACKED), "circle", 0.02)
         self._edited = Segments(scene, "/loops/edited", colour(palette.FORK), 2.4)
         self._accepted = Segments(scene, "/loops/accepted", colour(palette.OK), 1.6)
         self._doubted = Segments(scene, "/loops/doubted", colour(palette.OK), 0.7)
         self._refused = Segments(scene, "/loops/refused", colour(palette.BAD), 1.0)
         self._selected = Segments(scene, "/loops/selected", colour(palette.SELECTION), 3.0)
         self._window = Segments(scene, "/loops/window", colour(palette.FORK), 2.0)
-        self._nodes = {
-            "loops.graph": (self._before, self._after, self._base, self._edited),
+        self._nodes: dict[str, tuple[Segments | Points, ...]] = {
+            "loops.graph": (self._before, self._after, self._base, self._map, self._edited),
             "loops.accepted": (self._accepted, self._doubted, self._selected),
             "loops.refused": (self._refused,),
             "loops.window": (self._window,),
@@ -62,15 +63,16 @@ class LoopLayer:
         self._window.update(seen_again(frame))
         nothing = np.zeros((0, 2, 3))
         if graph is None:
-            for nodes in self._nodes.values():
-                for node in nodes:
-                    if node is not self._window:
-                        node.update(nothing)
+            lines = (self._before, self._after, self._base, self._edited, self._accepted, self._doubted, self._refused)
+            for node in (*lines, self._selected):
+                node.update(nothing)
+            self._map.update(np.zeros((0, 3)), 0.01)
             return
         self._before.update(sessions(graph.before, graph.session))
         self._after.update(sessions(graph.after, np.where(graph.base, -1, graph.session)))
         self._base.update(sessions(graph.after, np.where(graph.base, graph.session, -1)))
         self._edited.update(nothing if graph.edited is None else sessions(graph.edited, graph.session))
+        self._map.update(graph.map_points, 0.008 * frame.unit_m)
         firm, doubted = accepted(graph)
         self._accepted.update(firm)
         self._doubted.update(doubted)

@@ -97,6 +97,7 @@ def test_the_layer_has_few_nodes_and_keeps_the_last_graph_while_another_is_worke
     run: RunView, graph: GraphView
 ) -> None:
     scene = MagicMock()
+    scene.add_point_cloud.return_value = MagicMock(points=np.zeros((1, 3)), visible=False)
     scene.add_line_segments.side_effect = lambda *_, **given: MagicMock(
         points=np.zeros((1, 2, 3)), visible=given["visible"]
     )
