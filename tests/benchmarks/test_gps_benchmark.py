@@ -1,7 +1,8 @@
-"""Milliseconds of GPS fusion: `OPENBLAS_NUM_THREADS=1 pytest tests/benchmarks/test_gps.py --benchmark-enable`.
+"""Milliseconds of GPS fusion: `pytest tests/benchmarks/test_gps_benchmark.py --benchmark-enable`.
 
-A frame with a fix, after one minute and after ten: what a fix costs must not grow with the run.  The final trajectory
-may, in proportion to it.  `python tests/benchmarks/test_gps.py` prints the processor time minute by minute.
+A frame with a fix, after one minute and after three: what a fix costs must not grow with the run.  The final trajectory
+may, in proportion to it.  `PYTHONPATH=tests/support python tests/benchmarks/test_gps_benchmark.py` prints the processor
+time minute by minute.
 """
 
 import os
@@ -9,6 +10,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -28,18 +30,17 @@ def minutes(n: int) -> Drive:
     return drive(0, Road(length_m=600.0 * n), receiver=STEADY)
 
 
-@pytest.mark.parametrize("n", [1, 10])
+@pytest.mark.parametrize("n", [1, 3])
 def test_a_frame_with_a_fix(benchmark, n):
     d = minutes(n)
-    (fixes, last) = d.fixes[-1:], len(d.t_ns) - 1
-    *_, before, _ = steps(settings(), d)
-    state = before[0]
+    last = int(np.searchsorted(d.t_ns, d.fixes[-1].t_ns))
+    *_, (state, _) = steps(settings(), replace(d, t_ns=d.t_ns[:last], T_o_b=d.T_o_b[:last]))
     frame = OdometryPose(int(d.t_ns[last]), d.T_o_b[last])
-    _, report = benchmark(lambda: step(settings(), d.p_b_gps, state, frame, fixes))
-    assert report.T_e_b is not None
+    _, report = benchmark(lambda: step(settings(), d.p_b_gps, state, frame, d.fixes[-1:]))
+    assert report.iterations > 0
 
 
-@pytest.mark.parametrize("n", [1, 10])
+@pytest.mark.parametrize("n", [1, 3])
 def test_the_final_trajectory(benchmark, n):
     d = minutes(n)
     smoothed = benchmark.pedantic(lambda: smooth(settings(), d.p_b_gps, d.t_ns, d.T_o_b, d.fixes), rounds=2)
