@@ -72,7 +72,7 @@ class LoopLayer:
         self._after.update(sessions(graph.after, np.where(graph.base, -1, graph.session)))
         self._base.update(sessions(graph.after, np.where(graph.base, graph.session, -1)))
         self._edited.update(nothing if graph.edited is None else sessions(graph.edited, graph.session))
-        self._map.update(graph.map_points, 0.008 * frame.unit_m)
+        self._map.update(graph.map_points, 0.005 * frame.unit_m)
         firm, doubted = accepted(graph)
         self._accepted.update(firm)
         self._doubted.update(doubted)
