@@ -123,7 +123,9 @@ def overview(folder: Path) -> None:
 def why(folder: Path) -> None:
     """The pictures of why-it-drifted.md, in its order."""
     command("simulate", "imu_gap", "--out", folder / "gap", "--format", "asl")
-    command("run", folder / "gap", "--set", "imu.gap_s=10", "--out", folder / "drifted")
+    command(
+        "run", folder / "gap", "--set", "imu.gap_s=10", "--set", "frontend.klt_window=21", "--out", folder / "drifted"
+    )
     with studio(folder / "drifted") as s:
         s.go(140)
         s.photograph("why-1-symptom")

@@ -44,7 +44,9 @@ class Frontend:
     corner_quality: Annotated[
         float, Range(0.0001, 0.2), Doc("weakest corner accepted, as a share of the strongest")
     ] = 0.01
-    klt_window: Annotated[int, Range(7, 41), Doc("KLT window side", "px")] = 21
+    klt_window: Annotated[
+        int, Range(7, 41), Doc("KLT window side; what it covers should lie at one depth (parity: 21)", "px")
+    ] = 13
     klt_levels: Annotated[int, Range(0, 5), Doc("KLT pyramid levels above the image")] = 3
     klt_iterations: Annotated[int, Range(5, 100), Doc("KLT iterations per level")] = 30
     klt_epsilon: Annotated[float, Range(0.0001, 0.1), Doc("KLT stops when the step is shorter", "px")] = 0.01

@@ -82,7 +82,7 @@ def test_prediction_keeps_tracks_through_a_turn_that_flow_alone_loses(w, td_ns):
     images, _, packets = turning(5, w, td_ns=td_ns)  # 44 pixels an image, a fifth of it leaves the image
     assert survivors(images, packets, ALWAYS).min() > 0.5
     assert survivors(images, packets, RESCUE).min() > 0.5
-    assert survivors(images, packets, ALONE).max() < 0.3
+    assert survivors(images, packets, ALONE).max() < 0.4
 
 
 def test_tracks_that_flow_finds_alone_are_not_touched_by_the_gyroscope():

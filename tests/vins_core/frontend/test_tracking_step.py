@@ -66,7 +66,7 @@ def test_tracks_follow_the_motion_of_the_scene():
         for i, uv in zip(state.ids, state.uv_px):
             born.setdefault(i, move(np.linalg.inv(H), [uv])[0])
         error = np.linalg.norm(move(H, [born[i] for i in state.ids]) - state.uv_px, axis=1)
-        assert np.median(error) < 0.3 and error.max() < 1.5
+        assert np.median(error) < 0.4 and error.max() < 2.0
         assert len(report.ids) > 40
     assert report.age.max() == 9
 
@@ -155,7 +155,7 @@ def test_what_moves_against_the_scene_is_rejected_by_epipolar_geometry():
         image = render(H, canvas)
         image[60 + 4 * k : 150 + 4 * k, 100:190] = patch  # sinks while the scene goes sideways
         images.append(image)
-    params = dataclasses.replace(PARAMS, min_dist=10, max_cnt=150)
+    params = dataclasses.replace(PARAMS, min_dist=10, max_cnt=150, klt_window=21)
     (first, _, _), (_, _, report) = run(Film(images), [packet(0, ref(0)), packet(1, ref(1))], params)
 
     def on_patch(uv, margin):
