@@ -88,7 +88,13 @@ def corridor(folder: Path) -> None:
     accepted = {limit: list(_first(by_geometry, limit)) for limit in range(8, 200)}
     for limit in (8, 12, 16, 20, 25, 30, 40, 60, 80, 100):
         _print_row(f"{limit:8d}", accepted[limit], n)
-    _print_full_precision(accepted, n)
+    limit = _print_full_precision(accepted, n)
+    for query, candidates in enumerate(by_geometry, CORRIDOR_GAP + 1):
+        right, wrong = (max((k for k, same in candidates if same is what), default=0) for what in (True, False))
+        if revisited[query] and right < limit:
+            print(f"  missed {query}: {len(features[query])} corners, {right} inliers with its place")
+        if not revisited[query] and wrong:
+            print(f"  {query} revisits nothing: at most {wrong} inliers")
 
 
 def _guessed_rays(uv_px: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -107,10 +113,12 @@ def _print_row(limit: str, accepted: list[bool], n: int) -> None:
     print(f"{limit}  {np.mean(accepted) if accepted else 1.0:9.3f}  {sum(accepted) / n:6.3f}")
 
 
-def _print_full_precision(accepted: dict, n: int) -> None:
+def _print_full_precision(accepted: dict, n: int) -> float:
+    """The lowest limit of the highest recall without a wrong one."""
     best = max((sum(a) for a in accepted.values() if all(a)), default=0)
     limits = [limit for limit, a in accepted.items() if all(a) and sum(a) == best]
     print(f"recall at precision 1.0: {best / n:.3f} ({best} of {n}), limit {min(limits):.4g} to {max(limits):.4g}")
+    return min(limits)
 
 
 def keyframes_of(run: RunReader, params: Params) -> tuple[list[LoopKeyframe], Trajectory, step.LoopState, list[float]]:
