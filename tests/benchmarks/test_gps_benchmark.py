@@ -22,12 +22,10 @@ from vins_core.fusion.state import OdometryPose
 from vins_core.fusion.step import step
 from vins_core.simulation.drive import Drive, Receiver, Road, drive
 
-STEADY = Receiver(outage_s=(1e6, 1e6))
-
 
 @cache
-def minutes(n: int) -> Drive:
-    return drive(0, Road(length_m=600.0 * n), receiver=STEADY)
+def minutes(n: int, rate_hz: float = 1.0) -> Drive:
+    return drive(0, Road(length_m=600.0 * n), receiver=Receiver(rate_hz=rate_hz, outage_s=(1e6, 1e6)))
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -49,7 +47,7 @@ def test_the_final_trajectory(benchmark, n):
 
 def main() -> None:
     print(f"{'minute':>6} {'fix ms':>7} {'worst':>6} {'frame ms':>9} {'window':>6}")
-    d = minutes(10)
+    d = minutes(10, rate_hz=5.0)
     with_fix: list[float] = []
     without: list[float] = []
     start = time.process_time()
