@@ -1,11 +1,14 @@
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from loop_world import keyframe, pose, remembered, vocabulary
+from loop_world import ODOMETRY, keyframe, pose, remembered, vocabulary
 
 from vins_core import params as parameters
+from vins_core.geometry import poses
 from vins_core.loop import step
+from vins_core.loop.consistency import Motion, from_tangent, tangent_covariance
 from vins_core.loop.presets import PRESETS
 from vins_core.loop.rejudge import LIMITS, rejudge, smallest_change
 from vins_core.params import DECLARATIONS, Loop, Params
@@ -222,3 +225,26 @@ def test_presets_are_valid_settings_of_the_loop_stage(name, state, again):
     assert set(settings) <= {k for k in DECLARATIONS if k.startswith("loop.")}
     params = parameters.replace(Params(), settings | {"loop.min_gap": GAP}).loop
     assert step.detect(params, state, again).outcome is LoopOutcome.ACCEPTED
+
+
+def test_the_motion_since_the_last_keyframe_used_passes_over_those_left_out():
+    laps, thin, state = lap(12), Loop(every=3), step.begin(vocabulary().limits)
+    used = []
+    for number, k in enumerate(laps):
+        state, judged = step.admit(thin, state, k.T_w_b, ODOMETRY if number else None)
+        if all(g.passed for g in judged):
+            used.append(step.odometry(state))
+            state = step.remember(state, replace(k, odometry=used[-1]))
+    assert used[0] is None and len(used) == 4
+    along = Motion(poses.IDENTITY, np.zeros((6, 6)))
+    for a, b in pairwise(laps[:4]):
+        along = along.then(from_tangent(poses.between(a.T_w_b, b.T_w_b), ODOMETRY))
+    np.testing.assert_allclose(used[1], tangent_covariance(along), rtol=1e-9, atol=1e-15)
+
+
+def test_a_session_that_odometry_does_not_join_begins_a_tree_of_its_own():
+    state = remembered(lap(3))
+    state, _ = step.admit(PARAMS, state, lap(4)[3].T_w_b, None)
+    assert step.odometry(state) is None
+    state = step.remember(state, replace(lap(4)[3], odometry=None))
+    assert state.node(2).odometry.tree == 0 and state.node(3).odometry.tree == 3
