@@ -125,6 +125,11 @@ class Side(msgspec.Struct, tag_field="k", tag="side"):
     name: Literal["after", "before", "fill-in"]  # of marginalisation
 
 
+class Layer(msgspec.Struct, tag_field="k", tag="layer"):
+    name: str  # of a toggle of the 3D view
+    on: bool
+
+
 class Link(msgspec.Struct, tag_field="k", tag="link"):
     """The address of the page names a view."""
 
@@ -146,7 +151,7 @@ class Painted(msgspec.Struct, tag_field="k", tag="painted"):
 
 Event = (
     Seek | GoTo | Step | Play | Pick | Knob | Set | Reset | FrontEnd | Save | Load | Span | Fork
-    | Apply | Loops | Edge | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Link | Page | Painted
+    | Apply | Loops | Edge | Open | Compare | Rename | Keep | Stop | AskOptimum | Side | Layer | Link | Page | Painted
 )  # fmt: skip
 SCRIPTS = ("page.js", "knobs.js", "loops.js")
 _DECODER: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)

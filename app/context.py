@@ -162,6 +162,7 @@ class PanelContext:
     runs: tuple[RunEntry, ...] = ()  # every run there is to open or compare with
     other: OtherRun | None = None  # the run compared with
     optimum: OptimumView | None = None  # what IPOPT said about this frame's window, when it was asked
+    layers: tuple[tuple[str, str, bool], ...] = ()  # (name, title, drawn) of every layer of the 3D view
     prior_side: str = "after"  # which matrix the Prior panel shows: "after" | "before" | "fill-in"
     loops: LoopsView | None = None  # why loops close and do not; None for a run without
     graph: GraphView | None = None  # the pose graph, once it is worked out

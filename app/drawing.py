@@ -30,6 +30,7 @@ from .loops import LoopsView, has_loops
 from .panel_view import PanelView
 from .prior import DepartureView
 from .scene.frame import SceneFrame, scene_unit
+from .scene.view import TOGGLES
 
 if TYPE_CHECKING:
     from .session import Session
@@ -198,6 +199,7 @@ class Drawing:
             other=self.beside(run),
             optimum=answers.optimum.look(run, k),
             prior_side=session.prior_side,
+            layers=tuple((name, title, session.scene.shows(name)) for name, title in TOGGLES.items()),
             loops=loops,
             graph=self._graph(run, k),
             pair_uris=(pair[0][0], pair[1][0]),

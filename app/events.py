@@ -17,6 +17,7 @@ from .browser import (
     GoTo,
     Keep,
     Knob,
+    Layer,
     Link,
     Load,
     Loops,
@@ -91,6 +92,8 @@ def handle(session: Session, event: Event) -> None:
             session.keep(id, on)
         case Stop(id):
             session.stop(id)
+        case Layer(name, on):
+            session.show_layer(name, on)
         case Link(run, frame, layout):
             session.reproduce(run, frame, layout)
         case Page(panels, width, height, canvas):

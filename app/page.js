@@ -185,6 +185,7 @@
   // A focused tab, slider, box or button would swallow the next key.
   document.addEventListener("click", (e) => {
     if (e.target.closest("[role=tab], [role=slider], [type=checkbox], button")) document.activeElement?.blur();
+    if (e.target.closest("[role=option]")) setTimeout(() => document.activeElement?.blur(), 50); // a menu takes it back
     setTimeout(vi.report, 30);
     settle();
   });

@@ -72,7 +72,7 @@ class Session:
         self.scene = SceneView(client)
         self.drawing = Drawing(self)
         self.controls = Controls(client, self)
-        self.workspace = Workspace(client, Bridge(client.gui, self.on_event), layouts[0], self.show_layer)
+        self.workspace = Workspace(client, Bridge(client.gui, self.on_event), layouts[0])
         self.controls.stand(self.opened.growing)
         self.use_layout(layouts[0])
 
@@ -153,9 +153,9 @@ class Session:
         self.drawing.fit()
 
     def show_layer(self, toggle: str, on: bool) -> None:
-        if self.scene.shows(toggle) != on:
+        if toggle in TOGGLES:
             self.scene.show(toggle, on)
-            self.refresh(SCENE)
+            self.refresh("layers", SCENE)
 
     def show_prior(self, side: str) -> None:
         self.prior_side = side
@@ -248,7 +248,8 @@ class Session:
     def save_layout(self, title: str) -> None:
         """Keep panels, layers and signals as they are now under a name of the user's."""
         try:
-            saved = save_layout(self.workspace.as_it_is("follow" if self.following else "fit"), title)
+            layers = {toggle: self.scene.shows(toggle) for toggle in TOGGLES}
+            saved = save_layout(self.workspace.as_it_is(layers, "follow" if self.following else "fit"), title)
         except VinspectError as problem:
             self._tell("Not saved", str(problem))
             return

@@ -161,13 +161,13 @@ _PLOTS = f"""
 .vi-names{{flex:0 0 72px}}
 .vi-name{{display:flex;flex-direction:column;justify-content:center;line-height:1.25;font-size:11.5px;white-space:nowrap}}
 .vi-max{{font-size:10px;color:#7C8590}}
-.vi-values{{flex:0 0 66px}}
+.vi-values{{flex:0 0 78px}}
 .vi-value{{display:flex;flex-direction:column;justify-content:center;align-items:flex-end;line-height:1.2;
  color:{STRONG};font-weight:600;font-size:13px;white-space:nowrap}}
 .vi-value .vi-unit{{font-weight:400;font-size:10.5px}}
 .vi-over{{position:relative;height:0}}
 .vi-tight{{padding-top:0;padding-bottom:0}}
-.vi-tight .vi-values{{position:absolute;right:0;width:66px}}
+.vi-tight .vi-values{{position:absolute;right:0;width:78px}}
 .vi-grow{{flex:1 1 auto;min-width:0}}
 .vi-sunken{{background:{SUNKEN};border-radius:4px;overflow:hidden}}
 .vi-clock{{position:relative;height:14px;font-size:10px;color:{MUTED}}}
@@ -221,6 +221,8 @@ _KNOBS = f"""
 .vi input.vi-num{{width:54px;height:20px;padding:0 5px;text-align:right;font-variant-numeric:tabular-nums}}
 .vi input[type=range]{{width:100%;margin:0;height:16px;accent-color:{ESTIMATE};cursor:pointer}}
 .vi input[type=checkbox]{{accent-color:{ESTIMATE};margin:0 4px 0 0;vertical-align:-2px;cursor:pointer}}
+.vi-layers{{display:grid;gap:5px;margin-top:10px}} .vi-layers .vi-switch{{display:flex;gap:8px;align-items:center}}
+.vi-layers .vi-switch>span:nth-child(2){{width:14px;text-align:center}}
 .vi-switch{{cursor:pointer;white-space:nowrap}}
 .vi-undo{{visibility:hidden;border:0;background:none;color:{MUTED};cursor:pointer;padding:0;font-size:14px}}
 .vi-changed{{border-left-color:{FORK};background:#2A1F29}} .vi-changed .vi-kname{{color:{STRONG};font-weight:600}}

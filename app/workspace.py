@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 
 import msgspec
 import viser
 
 from .browser import Bridge
 from .context import RunView
-from .controls import set_value
 from .html import tag
 from .layout import Layout, Panel, Placement, canvas_width, place
 from .panel_view import PANELS, PanelView
-from .scene.view import OFF, TOGGLES
+from .scene.view import OFF
 
 
 class Workspace:
-    """`on_layer(toggle, on)` is called when a layer of the 3D view is switched."""
-
-    def __init__(
-        self, client: viser.ClientHandle, bridge: Bridge, layout: Layout, on_layer: Callable[[str, bool], None]
-    ) -> None:
+    def __init__(self, client: viser.ClientHandle, bridge: Bridge, layout: Layout) -> None:
         self._client = client
         self._bridge = bridge
-        self._on_layer = on_layer
         self._windows: dict[str, viser.PanelHandle] = {}
         self._link: viser.GuiHtmlHandle | None = None
         self.layout = layout
         self._offered: set[str] = set()
         self.panels: dict[str, PanelView] = {}
-        self.boxes: dict[str, viser.GuiCheckboxHandle] = {}
-        """The checkboxes of the 3D view's layers."""
         self.visible: set[str] = set()
         """KEYs of the panels that the page shows."""
         self.page = int(client.camera.image_width), int(client.camera.image_height)
@@ -44,15 +36,13 @@ class Workspace:
         self.layout, self._offered = layout, offered(run)
         for window in self._windows.values():
             window.remove()
-        self.panels, self._windows, self.boxes = {}, {}, {}
+        self.panels, self._windows = {}, {}
         for name, spec in layout.panels.items():
             window = self._windows[name] = self._client.gui.add_panel()
             for key in spec.tabs:
-                if key == "layers" or key in self._offered:
+                if key in self._offered:
                     self._add_tab(window, key)
         self.place()
-        for toggle, box in self.boxes.items():
-            set_value(box, self.draws(toggle))
 
     def suits(self, run: RunView) -> bool:
         """Whether the panels built are those of which this run has something."""
@@ -62,11 +52,10 @@ class Workspace:
         """Whether the layout wants a layer of the 3D view."""
         return self.layout.layers.get(toggle, toggle not in OFF)
 
-    def as_it_is(self, camera: str) -> Layout:
-        """The layout with the tabs and layers that the user has chosen since."""
-        layers = {toggle: box.value for toggle, box in self.boxes.items()} or self.layout.layers
+    def as_it_is(self, layers: Mapping[str, bool], camera: str) -> Layout:
+        """The layout with the tabs, layers and viewpoint that the user has chosen since."""
         panels = {name: shown_first(spec, self.visible) for name, spec in self.layout.panels.items()}
-        return msgspec.structs.replace(self.layout, panels=panels, layers=layers, camera=camera)
+        return msgspec.structs.replace(self.layout, panels=panels, layers=dict(layers), camera=camera)
 
     def forget_knobs(self) -> None:
         """A knob was moved: panels that cannot be seen now draw theirs again when they can."""
@@ -109,25 +98,12 @@ class Workspace:
         return place(self.layout, self.page, self.image_aspect, self.canvas)
 
     def _add_tab(self, window: viser.PanelHandle, key: str) -> None:
-        if key == "layers":
-            with window.add_tab("Layers", viser.Icon.STACK_2):
-                self._client.gui.add_html(str(tag("div", cls="vi", data_vip=key)))
-                for toggle, title in TOGGLES.items():
-                    self._add_layer_box(toggle, title)
-            return
         module = PANELS[key]
         with window.add_tab(module.TITLE, getattr(viser.Icon, module.ICON)):
             if not self.panels:
                 self._bridge.install()
                 self._link = self._client.gui.add_html("")
             self.panels[key] = PanelView(self._client.gui, module)
-
-    def _add_layer_box(self, toggle: str, title: str) -> None:
-        box = self.boxes[toggle] = self._client.gui.add_checkbox(title, True)
-
-        @box.on_update
-        async def _(_: viser.GuiEvent) -> None:
-            self._on_layer(toggle, box.value)
 
 
 def offered(run: RunView | None) -> set[str]:

@@ -162,11 +162,10 @@ def _legend(ctx: PanelContext) -> Html:
         lost = [muted("no track was lost since the previous frame")]
     parts = [tag("div", *items, cls="vi-legend"), tag("div", *lost, cls="vi-legend")]
     changes = _changes(ctx)
-    if changes is not None:
-        parts.append(_changes_legend(changes))
+    hint = row(muted("wheel zooms · drag pans · double click resets · click a track to select it"))
+    parts.append(_changes_legend(changes) if changes is not None else hint)
     if not len(tracks.ids):
         parts.append(
             empty("No track is alive in this frame.", "Look at ", strong("Gates"), " for the reason, or step back.")
         )
-    parts.append(row(muted("wheel zooms · drag pans · double click resets · click a track to select it")))
     return text(parts)

@@ -112,10 +112,11 @@ def _keep(run: RunEntry) -> Html:
 
 def _facts(run: RunEntry) -> Iterator[Html]:
     if run.parent is not None:
-        changes = [
-            text((muted(key), " ", strong(figures(value)), "  ")) for key, value in run.parent.changes.items()
-        ] or [muted("nothing changed ")]
-        yield text(("from ", frame_link(f"frame {run.parent.frame}", run.parent.frame), ": ", *changes))
+        yield text(("from ", frame_link(f"frame {run.parent.frame}", run.parent.frame), ": "))
+        if not run.parent.changes:
+            yield muted("nothing changed")
+        for k, (key, value) in enumerate(run.parent.changes.items()):
+            yield text((muted(", " if k else "", key, " "), strong(figures(value))))
         yield Html("<br>")
     known: list[Child] = [f"{run.frames} frames, {run.poses} poses"]
     if math.isfinite(run.ate_m):

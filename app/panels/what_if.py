@@ -44,6 +44,7 @@ from ..html import (
     unit,
 )
 from ..palette import BAD, ESTIMATE, FORK, OK
+from ..prior import FREE
 from ..style import FACTOR_COLOURS
 from ..widgets.gate import OPS
 from ..widgets.knob import figures, knobs
@@ -145,7 +146,7 @@ def _judged(ctx: PanelContext, seen: ExperimentView) -> Iterator[Html]:
     if judged is None:
         yield heading("the whole run", "reading its gates …" if seen.busy else "")
         return
-    yield heading("gates of the whole run", text(("from the record, ", tag("b", judged.label))), "whatif.gates")
+    yield heading("gates of the run", tag("b", judged.label), "whatif.gates")
     yield _of(seen, "judged")
     flipped = [flips for flips in judged.gates if len(flips.now_pass) or len(flips.now_fail)]
     decisions = [d for d in judged.derived if len(d.gained) or len(d.lost)]
@@ -371,7 +372,11 @@ def _prior(solved: WhatIf) -> Iterator[Html]:
         return
     leaks = zip(("x", "y", "z", "yaw"), ("1/m²",) * 3 + ("1/rad²",), a.gauge_information, b.gauge_information)
     rows = [_pair("rank", a.rank, b.rank, "margin.rank")]
-    rows += [_pair(f"known of {axis}", float(v), float(w), f"prior.{axis}", u) for axis, u, v, w in leaks]
+    rows += [
+        _pair(f"known of {axis}", float(v), float(w), f"prior.{axis}", u)
+        for axis, u, v, w in leaks
+        if axis == "yaw" or max(v, w) >= FREE
+    ]
     yield heading("the new prior", tip="prior.leak")
     yield _pairs("information", rows)
 

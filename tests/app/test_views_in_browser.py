@@ -94,7 +94,7 @@ def test_a_layout_of_ones_own_is_saved_and_chosen_again(page: Page, server: Serv
     session = session_of(server)
     open_tab(page, "Layers")
     page.get_by_label("IMU edges by residual").uncheck()
-    wait_until(page, lambda: session.workspace.boxes["imu.edges"].value is False)
+    wait_until(page, lambda: not session.scene.shows("imu.edges"))
     page.locator(".mantine-Notification-root", has_text="Software WebGL").get_by_role("button").click()
     page.get_by_role("button", name="Expand panel").last.click()
     name = page.get_by_text("name", exact=True).locator("xpath=following::input[1]")  # viser ties no label to it
