@@ -37,7 +37,8 @@ from ..html import (
     text,
     unit,
 )
-from ..loops import FILTERS, LoopsView, PairView, TableRow, has_loops
+from ..loops import FILTERS, LoopsView, TableRow, has_loops
+from ..pairs import PairView
 from ..widgets.funnel import funnel_bars
 from ..widgets.gate import OPS, gate_lines
 from ..widgets.knob import figures, knob

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from ..context import PanelContext, RunView
 from ..html import Child, Html, empty, key_cap, muted, panel, row, strong, tag, text
-from ..loops import PairView, has_loops
+from ..loops import has_loops
+from ..pairs import PairView
 from ..widgets.matches import images, legend, marks
 from .loops import outcome_chip, truth_chip
 

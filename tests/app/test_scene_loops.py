@@ -11,7 +11,8 @@ import pytest
 
 from app.context import RunView, Selection
 from app.graph import EdgeRow, Edits, GraphView
-from app.loops import LoopsView, PairView, Wish
+from app.loops import LoopsView
+from app.pairs import PairView, Wish
 from app.scene.frame import SceneFrame, scene_unit
 from app.scene.loops import LoopLayer, accepted, chosen, refused, seen_again, sessions
 from vins_core.mapping.study import LoopRow
