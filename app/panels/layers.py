@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from ..context import PanelContext
 from ..html import Html, muted, panel, swatch, tag
-from ..palette import BAD, CANDIDATE, ESTIMATE, FORK, IMU, LINE, MUTED, OK, PRIOR, SELECTION, TRUTH
+from ..palette import BAD, CANDIDATE, ESTIMATE, FORK, IMU, MUTED, OK, PRIOR, SELECTION, TRUTH
 
 TITLE = "Layers"
 ICON = "STACK_2"
 KEY = "layers"
 
-_MARKS = {
+MARKS = {
     "trajectory.estimate": (ESTIMATE, "—"),
     "trajectory.truth": (TRUTH, "—"),
     "window.frustums": (ESTIMATE, "◁"),
@@ -22,14 +22,15 @@ _MARKS = {
     "selection": (SELECTION, "●"),
     "compare.run": (FORK, "╌"),
     "what_if.window": (FORK, "◁"),
-    "uncertainty": (PRIOR, "⬭"),
+    "uncertainty": (PRIOR, "○"),
     "loops.accepted": (OK, "—"),
     "loops.refused": (BAD, "╌"),
     "loops.graph": (OK, "╌"),
     "loops.window": (SELECTION, "—"),
-    "grid": (LINE, "▦"),
+    "grid": (MUTED, "▦"),
+    "axes": (MUTED, "┼"),
 }
-"""Colour and sign of a layer, as the 3D view has it."""
+"""Colour and sign of every layer, as the 3D view has it."""
 
 
 def render(ctx: PanelContext) -> str:
@@ -37,7 +38,7 @@ def render(ctx: PanelContext) -> str:
 
 
 def _switch(name: str, title: str, on: bool) -> Html:
-    colour, sign = _MARKS.get(name, (MUTED, "·"))
+    colour, sign = MARKS[name]
     box = tag(
         "input",
         type="checkbox",

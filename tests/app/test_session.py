@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fake_run import FRAMES, SPIKE
 
-from app.browser import GoTo, Page, Pick, Seek, Step
+from app.browser import GoTo, Page, Painted, Pick, Seek, Step
 from app.context import PanelContext, Selection
 from app.layout import shipped_layouts
 from app.panel_view import PANELS, PanelView, playhead
@@ -186,6 +186,67 @@ def test_only_panels_that_can_be_seen_are_rendered(opened: OpenRun, monkeypatch:
         rendered.clear()
         await settle(session)
         assert rendered == {"gates", "timeline"}
+
+    run_session(opened, body)
+
+
+def scene_updates(session: Session, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The frames of which the 3D view is drawn from now on."""
+    drawn: list[int] = []
+    monkeypatch.setattr(session.scene, "update", lambda frame: drawn.append(frame.frame))
+    return drawn
+
+
+def test_the_3d_view_is_drawn_once_the_page_has_painted_the_panels(
+    opened: OpenRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("app.drawing.PAINT_S", 60.0)
+
+    async def body(session: Session) -> None:
+        session.on_event(Painted())  # a page that says so
+        drawn = scene_updates(session, monkeypatch)
+        session.go(5)
+        while 'data-frame="5"' not in session.workspace.panels["timeline"].content:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.05)
+        assert drawn == [] and not session.drawing.idle
+        session.on_event(Painted())
+        await settle(session)
+        assert drawn == [5]
+
+    run_session(opened, body)
+
+
+def test_a_page_in_the_background_is_not_waited_for(opened: OpenRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.drawing.PAINT_S", 0.02)
+
+    async def body(session: Session) -> None:
+        session.on_event(Painted())
+        drawn = scene_updates(session, monkeypatch)
+        session.go(5)
+        await settle(session)
+        assert drawn == [5]
+
+    run_session(opened, body)
+
+
+def test_a_run_that_grows_beside_the_one_shown_draws_only_what_is_about_it(
+    opened: OpenRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fork = OpenRun("fork", None)
+    fork.growing = True
+
+    async def body(session: Session) -> None:
+        wishes: list[tuple[str, ...]] = []
+        monkeypatch.setattr(session.drawing, "refresh", lambda *parts: wishes.append(parts))
+        session.grown({fork})
+        session.grown({fork})  # at once again: not worth a look
+        assert wishes == [("runs",)]
+        session.other, fork.growing = fork, False
+        session.grown({fork})  # its end always is
+        assert wishes[1:] == [("runs", "signals", "scene")]
+        session.grown({opened})
+        assert wishes[2:] == [()]
 
     run_session(opened, body)
 

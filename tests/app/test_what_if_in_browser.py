@@ -155,6 +155,8 @@ def test_a_fork_is_computed_drawn_and_compared(page: Page, server: Server) -> No
     frame = int(go.get_attribute("data-first") or -1)
     assert frame >= FRAME
     expect(page.locator("[data-setting='window.loss']")).to_be_visible()
+    for metric in ("ATE, shared poses", "mean cost", "keyframes", "time of a frame"):
+        expect(page.locator("[data-vip=runs] tr", has_text=metric)).to_be_visible()
     page.keyboard.press("Home")
     wait_for_frame(page, 0)
     go.click()
