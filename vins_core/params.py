@@ -372,7 +372,8 @@ class Loop:
         Range(1, 50),
         Doc(
             "standard deviations of odometry and loops count so many times, because the estimator claims too little: "
-            "3.2 for errors that are common to the ten keyframes of a window, times 2 for what no model holds"
+            "3.2 for errors that are common to the ten keyframes of a window, times 2 for rays of anchors, which count "
+            "as exact"
         ),
     ] = 6.0
     max_drift: Annotated[

@@ -14,8 +14,9 @@ A loop then has
 
 f is `drift_inflation`: the covariances are the estimator's claims, which are too small.  Increments of a fixed-lag
 smoother are added as if they were independent, but biases, scale and landmarks are common to those within a window:
-were they wholly so over a window of n keyframes, deviations would grow n^(1/2) times as fast, 3.2 for ten.  And what no
-model holds (tracks that slip, Jacobians taken elsewhere) makes one increment about twice as wrong as it claims.
+were they wholly so over a window of n keyframes, deviations would grow n^(1/2) times as fast, 3.2 for ten.  And one
+increment is about twice as wrong as it claims even where all noise is as modelled, mostly because the ray by which an
+anchor first saw its landmark counts as exact.
 
 Beyond `max_drift` a loop is refused, however many agree: candidates in a wrong room agree with each other.  Between
 `sure_drift` and that, or where no odometry joins two sessions, it waits until `min_agreement` other keyframes have
