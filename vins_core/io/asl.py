@@ -120,6 +120,8 @@ class AslRecording(Recording):
             data = path.read_bytes()
         except OSError as error:
             raise RecordingError(f"{path}: the image at {stub.t_ns} ns cannot be read: {error.strerror}") from error
+        if self.stream(stub.topic).role == "depth":
+            return images.raw_depth(stub.t_ns, stub.topic, data, str(path))
         return ImageMessage(stub.t_ns, stub.topic, images.sniff(data) or path.suffix[1:].lower(), data)
 
 

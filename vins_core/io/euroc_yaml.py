@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from ..errors import CalibrationError
 from ..geometry import se3
 from ..sensors import Calibration, CameraCalibration, ImuNoise
 from .intrinsics import read_camera, write_camera
+from .own_yaml import read_depth
 from .yaml_file import Keys
 
 ASSUMED_GRAVITY = 9.81
@@ -67,7 +68,8 @@ def _camera(keys: Keys, name: str, T_body_imu: np.ndarray) -> CameraCalibration:
     T_b_c = T_body_camera if same else se3.inverse(T_body_imu) @ T_body_camera
     topic = keys.text("topic", "the camera's topic") if "topic" in keys else ""
     readout_s = keys.number("readout_s", "the readout time of an image in s") if "readout_s" in keys else 0.0
-    return CameraCalibration(name, read_camera(keys, COEFFICIENTS), T_b_c, topic, readout_s=readout_s)
+    depth = read_depth(keys.mapping("depth", "a depth camera")) if "depth" in keys else None
+    return CameraCalibration(name, read_camera(keys, COEFFICIENTS), T_b_c, topic, readout_s=readout_s, depth=depth)
 
 
 def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
@@ -86,11 +88,13 @@ def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
 
 def camera_to_dict(camera: CameraCalibration, td_s: float) -> dict[str, Any]:
     """What `read` expects of a camera's file."""
-    return {
+    content = {
         "T_BS": _matrix(camera.T_b_c),
         **write_camera(camera.model, COEFFICIENTS, radtan="radial-tangential"),
-        "td_s": td_s,
-    } | ({"readout_s": camera.readout_s} if camera.readout_s else {})
+        "td_s": td_s if camera.td_s is None else camera.td_s,
+    }
+    content |= {"readout_s": camera.readout_s} if camera.readout_s else {}
+    return content | ({"depth": asdict(camera.depth)} if camera.depth else {})
 
 
 def _matrix(T: np.ndarray) -> dict[str, Any]:

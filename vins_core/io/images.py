@@ -36,26 +36,41 @@ def depth_bytes(encoding: str) -> int:
     return 4 if "32" in encoding else 2 if "16" in encoding else 1
 
 
-def depth_m(message: ImageMessage, scale_m: float, source: str) -> np.ndarray:
-    """(rows, columns) float32 in metres, NaN where there is none (0, infinite or negative).
+def is_depth(message: ImageMessage) -> bool:
+    return message.format in DEPTH or "compressedDepth" in message.format
 
-    Integers count `scale_m`; floating point is in metres already (REP 118).  Files are 16-bit PNG or float TIFF.
-    """
-    pixels = message.data
+
+def without_depth_header(data: bytes) -> bytes:
+    """The PNG in a compressedDepth message."""
+    inner = data[COMPRESSED_DEPTH_HEADER:]
+    return inner if not sniff(data) and sniff(inner) else data
+
+
+def raw_depth(t_ns: int, topic: str, data: bytes | np.ndarray, source: str) -> ImageMessage:
+    """A depth image as pixels, 16UC1 or 32FC1, from them or from a file (16-bit PNG, float TIFF)."""
+    pixels = data
     if isinstance(pixels, bytes):
-        data = np.frombuffer(pixels, np.uint8)
-        if data[:4].tobytes() != b"\x89PNG" and data[COMPRESSED_DEPTH_HEADER:][:4].tobytes() == b"\x89PNG":
-            data = data[COMPRESSED_DEPTH_HEADER:]
+        encoded = np.frombuffer(without_depth_header(pixels), np.uint8)
         try:
-            found = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+            found = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if len(encoded) else None
         except cv2.error:
             found = None
         pixels = np.zeros(0) if found is None else np.asarray(found)
     if pixels.ndim != 2 or pixels.dtype not in (np.uint16, np.float32):
         raise RecordingError(
-            f"{source}: the depth image of {message.topic} at {message.t_ns} ns cannot be read: "
-            f"expected 16UC1 or 32FC1, one channel of 16-bit integers or 32-bit floating point"
+            f"{source}: the depth image of {topic} at {t_ns} ns cannot be read: "
+            "expected 16UC1 or 32FC1, one channel of 16-bit integers or 32-bit floating point"
         )
+    return ImageMessage(t_ns, topic, "16UC1" if pixels.dtype == np.uint16 else "32FC1", pixels)
+
+
+def depth_m(message: ImageMessage, scale_m: float, source: str) -> np.ndarray:
+    """(rows, columns) float32 in metres, NaN where there is none (0, infinite or negative).
+
+    Integers count `scale_m`; floating point is in metres already (REP 118).
+    """
+    pixels = raw_depth(message.t_ns, message.topic, message.data, source).data
+    assert isinstance(pixels, np.ndarray)
     depth = pixels.astype(np.float32)
     if pixels.dtype == np.uint16:
         depth *= np.float32(scale_m)

@@ -130,11 +130,12 @@ def _camera(keys: Keys) -> CameraCalibration:
         mask,
         td_s=keys.number("td_s", "the time offset of this camera in s") if "td_s" in keys else None,
         readout_s=keys.number("readout_s", "the readout time of an image in s") if "readout_s" in keys else 0.0,
-        depth=_depth(keys.mapping("depth", "topic and scale_m")) if "depth" in keys else None,
+        depth=read_depth(keys.mapping("depth", "topic and scale_m")) if "depth" in keys else None,
     )
 
 
-def _depth(keys: Keys) -> DepthCalibration:
+def read_depth(keys: Keys) -> DepthCalibration:
+    """The depth camera of a camera: `topic`, `scale_m`, `min_m`, `max_m`, `tolerance_s`."""
     numbers = {
         name: keys.number(name, "a number", positive=name != "min_m")
         for name in ("scale_m", "min_m", "max_m", "tolerance_s")

@@ -27,7 +27,7 @@ _HOW_TO_CHOOSE = (
 
 Role = Literal["image", "imu", "gps", "truth", "depth", "other"]
 
-WRITABLE: tuple[Role, ...] = ("image", "imu", "gps", "truth")
+WRITABLE: tuple[Role, ...] = ("image", "imu", "gps", "truth", "depth")
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ class Recording(ABC):
         return [m.fix for m in fixes]
 
     def messages(self) -> Iterator[Message]:
-        """Everything that can be written again: all cameras, IMUs, GPS receivers and ground truths."""
+        """Everything that can be written again: all cameras, depth cameras, IMUs, GPS receivers and ground truths."""
         for item in self.scan([s.topic for s in self.streams if s.count and s.role in WRITABLE]):
             yield self._image(item) if isinstance(item, ImageStub) else item
 

@@ -15,7 +15,7 @@ from . import own_yaml
 from .asl import AslRecording
 from .calibration import Settings, read_calibration
 from .messages import ImageMessage, Message
-from .recording import Recording
+from .recording import WRITABLE, Recording
 from .write_asl import AslWriter
 from .write_ros import Ros1Writer, Ros2Writer
 
@@ -82,7 +82,7 @@ def convert(
     if settings is None and isinstance(recording, AslRecording):
         with suppress(VinspectError):  # a folder without complete sensor.yaml files has no calibration to pass on
             settings = read_calibration([], recording)
-    total = sum(s.count for s in recording.streams if s.role in ("image", "imu", "gps", "truth"))
+    total = sum(s.count for s in recording.streams if s.role in WRITABLE)
 
     def messages() -> Iterator[Message]:
         for done, message in enumerate(recording.messages(), 1):

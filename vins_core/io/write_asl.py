@@ -18,6 +18,7 @@ from .trajectory import EUROC_HEADER, euroc_row
 
 HEADERS = {
     "cam": "#timestamp [ns],filename",
+    "depth": "#timestamp [ns],filename",
     "imu": (
         "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
         "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
@@ -35,7 +36,13 @@ KINDS: dict[type, str] = {
     GpsMessage: "gps",
     TruthMessage: "state_groundtruth_estimate",
 }
-SENSOR_TYPES = {"cam": "camera", "imu": "imu", "gps": "gps", "state_groundtruth_estimate": "visual-inertial"}
+SENSOR_TYPES = {
+    "cam": "camera",
+    "depth": "depth",
+    "imu": "imu",
+    "gps": "gps",
+    "state_groundtruth_estimate": "visual-inertial",
+}
 
 
 class AslWriter:
@@ -51,7 +58,7 @@ class AslWriter:
 
     def write(self, message: Message) -> None:
         if message.topic not in self._folders:
-            self._add(message.topic, KINDS[type(message)])
+            self._add(message.topic, _kind(message))
         self._tables[message.topic].write(self._row(message) + "\n")
 
     def close(self) -> None:
@@ -72,7 +79,7 @@ class AslWriter:
             name = f"{kind}{number}"
             number += 1
         folder = self._root / name
-        (folder / "data" if kind == "cam" else folder).mkdir(parents=True)
+        (folder / "data" if kind in ("cam", "depth") else folder).mkdir(parents=True)
         self._folders[topic] = folder
         self._tables[topic] = (folder / "data.csv").open("w", encoding="utf-8")
         self._tables[topic].write(HEADERS[kind] + "\n")
@@ -118,19 +125,26 @@ class AslWriter:
         return name
 
 
+def _kind(message: Message) -> str:
+    return "depth" if isinstance(message, ImageMessage) and images.is_depth(message) else KINDS[type(message)]
+
+
 def _same(topic: str, other: str) -> bool:
     return topic.strip("/").removesuffix("/compressed") == other.strip("/").removesuffix("/compressed")
 
 
 def _file_content(message: ImageMessage) -> tuple[bytes, str]:
-    """Encoded images as they are; pixels as PNG, Bayer patterns as the grey image that they give."""
+    """Encoded images as they are; pixels as PNG, Bayer patterns as the grey image that they give; metres as TIFF."""
     if isinstance(message.data, bytes):
+        if images.is_depth(message):
+            return images.without_depth_header(message.data), "png"
         return message.data, {"jpeg": "jpg"}.get(message.format, message.format)
     pixels = message.data
     if message.format in ("rgb8", "rgba8"):
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR if message.format == "rgb8" else cv2.COLOR_RGBA2BGRA)
     elif message.format.startswith("bayer"):
         pixels = images.grey(message, message.topic)
-    done, data = cv2.imencode(".png", np.ascontiguousarray(pixels))
+    suffix = "tiff" if pixels.dtype == np.float32 else "png"
+    done, data = cv2.imencode(f".{suffix}", np.ascontiguousarray(pixels))
     assert done
-    return data.tobytes(), "png"
+    return data.tobytes(), suffix

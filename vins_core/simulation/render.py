@@ -44,6 +44,15 @@ class Renderer:
         grey[edge] = self._split(R, origin, edge)
         return grey.reshape(self.shape) * self._vignette
 
+    def depth_m(self, T_w_c: np.ndarray) -> np.ndarray:
+        """(rows, columns) float32: depth along the optical axis of what each pixel shows, NaN where it shows nothing.
+
+        `T_w_c` is (4, 4).  Behind the image plane the depth is negative.
+        """
+        rays = self._rays.reshape(-1, 3)
+        _, distance = hits(self.world, T_w_c[:3, 3], rays @ T_w_c[:3, :3].T.astype(np.float32))
+        return np.where(self._inside, (distance * rays[:, 2]).reshape(self.shape), np.nan).astype(np.float32)
+
     def _split(self, R: np.ndarray, origin: np.ndarray, pixels: np.ndarray) -> np.ndarray:
         """Mean of SUBRAYS^2 rays for each of the given flat pixel indices."""
         offsets = (np.arange(SUBRAYS, dtype=np.float32) + 0.5) / SUBRAYS - 0.5

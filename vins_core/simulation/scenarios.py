@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry import se3, so3
 from ..sensors import ExtrinsicKnowledge
 from . import lenses, motions, rooms, suite
-from .sensors import Exposure, Imu, Rig
+from .sensors import DepthSensor, Exposure, Imu, Rig
 from .trajectory import Channels
 from .world import World
 
@@ -68,6 +68,7 @@ class Scenario:
     rig: Rig = PINHOLE
     imu: Imu = field(default_factory=Imu)
     exposure: Exposure = field(default_factory=Exposure)
+    depth: DepthSensor | None = None
     duration_s: float = 15.0
     gravity_m_s2: float = 9.81
     td_s: float = 0.0  # true: t_imu = t_image + td
@@ -201,6 +202,10 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
         "unknown_extrinsics": Scenario(
             "The room loop with a calibration that does not know how the camera is mounted.",
             believed_extrinsics="unknown",
+        ),
+        "depth_camera": Scenario(
+            "The room loop with a depth camera registered to the camera: 0.3 to 8 m, 2 % noise.",
+            depth=DepthSensor(),
         ),
     }
 )

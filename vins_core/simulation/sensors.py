@@ -93,6 +93,24 @@ def expose(
     return np.clip(light * gain + noise + 0.5, 0, 255).astype(np.uint8)
 
 
+@dataclass(frozen=True)
+class DepthSensor:
+    """A depth camera registered to the camera: depth along the optical axis, as 16-bit integers."""
+
+    noise: float = 0.02  # standard deviation, as a share of the depth
+    min_m: float = 0.3  # nearer and
+    max_m: float = 8.0  # farther it sees nothing
+    missing: float = 0.02  # share of the pixels without depth
+    scale_m: float = 1e-3  # metres a unit
+
+
+def measure_depth(depth_m: np.ndarray, sensor: DepthSensor, rng: np.random.Generator) -> np.ndarray:
+    """(rows, columns) uint16 of what a depth camera makes of exact depths; 0 where it sees nothing."""
+    noisy = depth_m * (1.0 + sensor.noise * rng.standard_normal(depth_m.shape, np.float32))
+    seen = (depth_m > sensor.min_m) & (depth_m < sensor.max_m) & (rng.random(depth_m.shape) >= sensor.missing)
+    return np.where(seen, np.clip(np.nan_to_num(noisy) / sensor.scale_m + 0.5, 1, 65535), 0).astype(np.uint16)
+
+
 def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 

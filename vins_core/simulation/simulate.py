@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import ParameterError
-from ..geometry import so3
+from ..geometry import se3, so3
 from ..io.calibration import Settings
 from ..io.messages import ImageMessage, ImuMessage, Message, TruthMessage
-from ..sensors import Calibration, CameraCalibration, ImuSamples, Trajectory
+from ..sensors import Calibration, CameraCalibration, DepthCalibration, ImuSamples, Trajectory
 from .render import Renderer
 from .scenarios import SCENARIOS, Interval, Scenario
-from .sensors import encode_jpeg, expose, sample_imu
+from .sensors import encode_jpeg, expose, measure_depth, sample_imu
 from .trajectory import Motion
 
 T0_NS = 1_700_000_000_000_000_000  # stamp of the first IMU sample
@@ -24,7 +24,8 @@ LEAD_S = 0.1  # the IMU begins this long before the first image and ends as long
 TRUTH_EVERY = 2  # IMU samples
 MAX_DURATION_S = 600.0
 IMAGE_TOPICS, IMU_TOPIC, TRUTH_TOPIC = ("/cam0/image_raw", "/cam1/image_raw"), "/imu0", "/groundtruth"
-_IMU_STREAM, _IMAGE_STREAM = 10, 11  # of the seeded randomness
+DEPTH_TOPIC = "/depth0/image_raw"
+_IMU_STREAM, _IMAGE_STREAM, _DEPTH_STREAM = 10, 11, 12  # of the seeded randomness
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,17 @@ class Simulation:
         T_b_c = self.scenario.rig.Ts_b_c[camera]
         return expose(self.renderer, self.motion, T_b_c, t_ns * 1e-9, self.scenario.exposure, rng)
 
+    def depth(self, index: int) -> np.ndarray:
+        """(rows, columns) uint16 of the depth camera, taken with image `index`; 0 where it sees nothing."""
+        assert self.scenario.depth is not None
+        t_ns = int(self.image_t_ns[index]) - T0_NS + round(self.scenario.td_s * 1e9)
+        body = self.motion.at(np.array([t_ns * 1e-9]))
+        T_w_c = se3.from_quaternion_translation(body.q_w_b, body.p_w_b)[0] @ self.scenario.rig.T_b_c
+        rng = np.random.default_rng([self.seed, _DEPTH_STREAM, t_ns])
+        return measure_depth(self.renderer.depth_m(T_w_c), self.scenario.depth, rng)
+
     def messages(self) -> Iterator[Message]:
-        """Everything in the order of its stamps; at equal stamps truth, IMU, image."""
+        """Everything in the order of its stamps; at equal stamps truth, IMU, image, depth."""
         streams: list[Iterator[Message]] = [self._truth_messages(), self._imu_messages(), self._image_messages()]
         return heapq.merge(*streams, key=lambda message: message.t_ns)
 
@@ -82,6 +92,8 @@ class Simulation:
             for camera in range(len(self.scenario.rig.Ts_b_c)):
                 data = encode_jpeg(self.image(index, camera), quality)
                 yield ImageMessage(t_ns, IMAGE_TOPICS[camera], "jpeg", data)
+            if self.scenario.depth:
+                yield ImageMessage(t_ns, DEPTH_TOPIC, "16UC1", self.depth(index))
 
 
 def simulate(name: str, seed: int = 1, duration_s: float | None = None) -> Simulation:
@@ -166,4 +178,8 @@ def _calibration(scenario: Scenario, td_s: float, rotation_error_deg: tuple[floa
         CameraCalibration(f"cam{i}", scenario.rig.camera, T_b_c @ error, IMAGE_TOPICS[i], readout_s=readout_s)
         for i, T_b_c in enumerate(scenario.rig.Ts_b_c)
     )
+    if scenario.depth:
+        seen = scenario.depth
+        depth = DepthCalibration(DEPTH_TOPIC, seen.scale_m, seen.min_m, seen.max_m)
+        cameras = (replace(cameras[0], depth=depth), *cameras[1:])
     return Calibration(cameras, scenario.imu.noise, scenario.gravity_m_s2, td_s, IMU_TOPIC)

@@ -16,9 +16,10 @@ from vins_core.io.messages import GpsMessage, ImageMessage, Message
 from vins_core.io.modes import inspect_modes, restrict
 from vins_core.io.recording import Recording, open_recording
 from vins_core.io.sync import packets
+from vins_core.io.write import convert
 from vins_core.params import Params
 from vins_core.params import replace as with_params
-from vins_core.sensors import NO_IMU, Calibration, CameraCalibration, DepthCalibration, Packet
+from vins_core.sensors import NO_IMU, Calibration, CameraCalibration, DepthCalibration, DepthRef, Packet
 
 MS = 1_000_000
 RIGHT = CameraCalibration("cam1", CAMERA, CALIBRATION.cameras[0].T_b_c, "/cam1/image_raw")
@@ -231,6 +232,25 @@ def test_a_colour_image_is_no_depth(tmp_path: Path) -> None:
     assert ref is not None
     with pytest.raises(RecordingError, match=r"depth image of /depth0/image_raw .* cannot be read: expected 16UC1"):
         recording.load_depth(ref, 1e-3)
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.float32])
+@pytest.mark.parametrize("format", ["asl", "ros1", "mcap"])
+def test_depth_survives_conversion(tmp_path: Path, kind: type, format: str) -> None:
+    raw = [np.random.default_rng(k).uniform(1, 5, (48, 64)).astype(np.float32) for k in range(3)]
+    pixels = raw if kind is np.float32 else [(1000 * p).astype(np.uint16) for p in raw]
+    name = "32FC1" if kind is np.float32 else "16UC1"
+    sent = [ImageMessage(T0 + k * 50 * MS, "/depth0/image_raw", name, p) for k, p in enumerate(pixels)]
+    first = recording_of(tmp_path, imus(), images(), sent, format=format)
+    again = open_recording(
+        convert(first, tmp_path / f"again{'.bag' if format == 'asl' else ''}", "ros1" if format == "asl" else "asl")
+    )
+    for recording in (first, again):
+        recording.use(replace(RGBD, cameras=(replace(RGBD.cameras[0], depth=DepthCalibration(), topic=""),)))
+        stubs = list(recording.scan([recording.depth_topic]))
+        found = [recording.load_depth(DepthRef(s.t_ns, 0, k, s.locator), 0.001) for k, s in enumerate(stubs)]  # type: ignore[union-attr]
+        expected = [p.astype(np.float32) * np.float32(1 if kind is np.float32 else 0.001) for p in pixels]
+        np.testing.assert_array_equal(found, expected)
 
 
 # -- modes ---------------------------------------------------------------------------------------------------------

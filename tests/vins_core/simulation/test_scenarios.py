@@ -173,6 +173,32 @@ def test_a_point_of_the_room_is_where_both_cameras_say():
     assert ok.sum() > 30 and np.median(epipolar_angle(T_a_b, rays_a, rays_b)) < 0.5 / 229
 
 
+def test_depth_is_along_the_optical_axis_with_the_declared_noise():
+    """Two places on one wall: points lifted by their depth lie on it."""
+    simulation = simulate("depth_camera", 1, 0.6)
+    sensor = simulation.scenario.depth
+    assert sensor is not None and simulation.calibration.cameras[0].depth is not None
+    exact = build(
+        "exact", dataclasses.replace(simulation.scenario, depth=dataclasses.replace(sensor, noise=0.0)), 1, 0.6
+    )
+    measured, true = simulation.depth(3).astype(float), exact.depth(3).astype(float)
+    both = (measured > 0) & (true > 0)
+    assert 0.9 < both.mean() < 0.99
+    assert np.std(measured[both] / true[both] - 1.0) == pytest.approx(sensor.noise, rel=0.05)
+    camera = exact.true_calibration.cameras[0]
+    v, u = np.nonzero(true)
+    rays = camera.model.lift(np.stack([u, v], -1).astype(float))
+    points_c = rays / rays[:, 2:] * true[v, u][:, None] * sensor.scale_m
+    t_s = (exact.image_t_ns[3] - T0_NS) * 1e-9
+    body = exact.motion.at(np.array([t_s]))
+    T_w_c = se3.from_quaternion_translation(body.q_w_b, body.p_w_b)[0] @ camera.T_b_c
+    points_w = se3.transform(T_w_c, points_c)
+    room = exact.renderer.world.room
+    outside = np.abs(points_w - room.centre_w_m) - room.size_m / 2
+    on_a_wall = np.abs(outside.max(1)) < 0.005
+    assert outside.max() < 0.005 and on_a_wall.mean() > 0.2
+
+
 def test_a_rolling_shutter_begins_at_its_stamp_when_the_calibration_says_so():
     scenario = SCENARIOS["rolling_shutter_20ms"]
     simulation = simulate("rolling_shutter_20ms", 1, 1.4)
