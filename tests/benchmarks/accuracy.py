@@ -29,6 +29,7 @@ def run(recording: Path, calib: list[Path], changes: dict, start_s: float, durat
     from vins_core import params as P
     from vins_core import pipeline
     from vins_core.evaluation.evaluate import evaluate
+    from vins_core.io import modes
     from vins_core.io.calibration import read_calibration
     from vins_core.io.recording import open_recording
     from vins_core.io.sync import packets
@@ -38,14 +39,15 @@ def run(recording: Path, calib: list[Path], changes: dict, start_s: float, durat
     prepare()
     with open_recording(recording) as probe:
         settings = read_calibration(calib, probe)
-    source = open_recording(recording, settings.calibration)
+    calibration, _ = modes.prepare(settings.calibration)
+    source = open_recording(recording, calibration)
     params = P.replace(P.replace(P.Params(), settings.overrides), changes)
-    state = pipeline.start(settings.calibration)
+    state = pipeline.start(calibration)
     t_ns, p, q, first_image, restarts, ms = [], [], [], None, 0, []
-    for packet in packets(source, settings.calibration, params, start_s, duration_s):
+    for packet in packets(source, calibration, params, start_s, duration_s):
         first_image = packet.images[0].t_ns if first_image is None else first_image
         t0 = time.perf_counter()
-        state, report, _ = pipeline.step(params, settings.calibration, source, state, packet)
+        state, report, _ = pipeline.step(params, calibration, source, state, packet)
         ms.append(1e3 * (time.perf_counter() - t0))
         restarts += bool(report.health and report.health.outcome)
         if report.pose is not None:
