@@ -22,6 +22,7 @@ from vins_core import params as P
 from vins_core.frontend.state import TrackerState
 from vins_core.frontend.step import track
 from vins_core.geometry import se3, so3
+from vins_core.io import modes
 from vins_core.io.calibration import read_calibration
 from vins_core.io.recording import open_recording
 from vins_core.io.sync import packets
@@ -76,10 +77,11 @@ def main() -> None:
     prepare()
     with open_recording(args.recording) as probe:
         settings = read_calibration(args.calib, probe)
-    source, camera = open_recording(args.recording, settings.calibration), settings.calibration.cameras[0]
+    calibration, _ = modes.prepare(settings.calibration)
+    source, camera = open_recording(args.recording, calibration), calibration.cameras[0]
     params = P.replace(P.replace(P.Params(), settings.overrides), dict(item.split("=", 1) for item in args.set))
     state, truth, poses, seen = TrackerState.empty(), source.truth(), [], defaultdict(list)
-    for packet in packets(source, settings.calibration, params, START_S, args.duration):
+    for packet in packets(source, calibration, params, START_S, args.duration):
         state, found, _ = track(params.frontend, camera, source, state, packet)
         for i, ray in zip(found.ids.tolist(), found.rays):
             seen[i].append((len(poses), ray))
