@@ -170,9 +170,11 @@ def _verdict(predicted: Prediction) -> Html:
     if not predicted.gained and not predicted.lost:
         lines.append("The same loops are accepted.")
     else:
+        swapped = len({p.query for p in predicted.gained} & {p.query for p in predicted.lost})
         lines += [
             strong(f"+{len(predicted.gained)}"), _split(gained), " ",
             strong(f"−{len(predicted.lost)}"), _split(lost),
+            muted(f"; {swapped} of them with another keyframe") if swapped else None,
         ]  # fmt: skip
     if predicted.unanswered:
         lines.append(tag("div", muted(f"Only a fork answers {', '.join(predicted.unanswered)}."), cls="vi-small"))

@@ -29,7 +29,7 @@ def _stage(stage: FunnelStage, would: FunnelStage | None, whole: int, *, last: b
         "div",
         term(stage.name, f"loops.{stage.name}"),
         tag("div", *bars, cls="vi-funnelbars"),
-        tag("span", *count, _places(would or stage), cls="vi-val"),
+        tag("span", tag("span", *count), _places(would or stage), cls="vi-val"),
         cls="vi-funnelrow",
         data_stage=stage.name,
         data_count=stage.count if would is None else would.count,

@@ -170,3 +170,21 @@ def test_a_run_without_loops_shows_nothing_about_them(served_run: Server, open_p
         assert page.get_by_role("tab", name=name, exact=True).count() == 0
     page.keyboard.press("Alt+6")
     expect(page.get_by_text("This run closes no loops")).to_be_visible()
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (1920, 1080)], ids=str)
+def test_both_images_and_every_panel_fit_on_the_page(
+    served: Server, open_page: OpenPage, size: tuple[int, int]
+) -> None:
+    page = open_page(served, size)
+    page.keyboard.press("Alt+6")
+    page.locator("[data-loops=complete]").first.wait_for(state="attached")
+    look_at(page, CLOSED)
+    page.wait_for_timeout(500)  # docks glide to their place
+    image = page.locator("[data-vip=pair] .vi-img").first.bounding_box()
+    assert image is not None and image["y"] + image["height"] <= size[1]
+    wide = page.evaluate(
+        "[...document.querySelectorAll('[data-vip]')].filter(e => e.offsetParent && e.scrollWidth > e.clientWidth + 1)"
+        ".map(e => e.dataset.vip)"
+    )
+    assert wide == []
