@@ -73,7 +73,8 @@ class Closure:
 def begin(places: Places) -> Closure:
     """Before the first frame: nothing, or the map that the run begins with."""
     limits, known = places.vocabulary.limits, places.keyframes
-    return Closure(LoopState(Keyframes(known), limits, len(known)), places.graph, n_loops_begun=places.graph.n_loops)
+    loops = LoopState(Keyframes(known), limits, len(known), since=len(known))
+    return Closure(loops, places.graph, n_loops_begun=places.graph.n_loops)
 
 
 def interrupt(closure: Closure) -> Closure:

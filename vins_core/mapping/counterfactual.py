@@ -29,8 +29,8 @@ VALUES = frozenset(
     {"max_hamming", "max_ratio", "cross_check", "epipolar", "epipolar_px", "epipolar_confidence", "pnp_px"}
     | {"guided_px", "heading"}
 )
-"""Parameters of `loop` that change what gates compare: known again from stored descriptors."""
-UNANSWERED = frozenset({"enabled", "relocalize", "max_corners", "skip_first", "every", "min_spacing_m"})
+"""Parameters of `loop` that change what gates compare of a pair of keyframes."""
+UNANSWERED = frozenset({"enabled", "relocalize", "max_corners"})
 """Parameters of `loop` that only a fork answers: they change what is described, or what becomes of a loop."""
 
 

@@ -7,7 +7,7 @@ are kept.  `advance` does so bit by bit, a few milliseconds to 30 a keyframe, fo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from threading import Lock
 from typing import Any
@@ -17,21 +17,22 @@ import numpy as np
 from .. import params as parameters
 from ..errors import RunError
 from ..loop import rejudge
-from ..loop.keyframe import Keyframes, LoopKeyframe
-from ..loop.step import LoopState, Retrieved, detect_again, examine, retrieve
-from ..loop.verify import Pair, verify
+from ..loop.keyframe import LoopKeyframe
+from ..loop.step import detect_again, examine
 from ..params import DECLARATIONS, Loop, Params
 from ..record.recent import Recent
 from ..record.recording import RunReader
-from ..report import Gate, LoopCandidate, LoopOutcome, LoopReport
-from . import counterfactual
-from .counterfactual import UNANSWERED, VALUES, Judgement, Prediction, Remedy, judge_run
+from ..report import Gate, LoopOutcome, LoopReport
+from . import counterfactual, thinning
+from .counterfactual import UNANSWERED, Judgement, Prediction, Remedy, judge_run
+from .evidence import Evidence
 from .funnel import FunnelStage, funnel
+from .thinning import Admission, Offered, admissions
 from .truth import Truth, revisited, true_poses, truth_of
 
 KEEP_REPORTS = 64
-KEEP_VARIANTS = 4
 REPORT_BYTES = 200_000
+_THINNING = {f"loop.{name}" for name in thinning.SETTINGS}
 
 
 @dataclass(frozen=True)
@@ -45,28 +46,6 @@ class LoopRow:
     outcome: LoopOutcome
     match: int  # the keyframe that it closes a loop with, -1 for none
     n_candidates: int
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What judging a keyframe again needs to know of it."""
-
-    frame: int
-    t_ns: int
-    n_landmarks: int
-    n_points: int
-    T_w_b: np.ndarray
-    odometry: np.ndarray | None
-
-
-@dataclass(frozen=True)
-class Shortlist:
-    """The best candidates of a keyframe, as long as `loop.min_gap` is what it was."""
-
-    wanted: int  # how many were asked for
-    own: tuple[Gate, ...]
-    neighbour_score: float | None
-    found: tuple[Retrieved, ...]
 
 
 class LoopStudy:
@@ -90,11 +69,9 @@ class LoopStudy:
         self._truth = np.zeros((0, 7))
         self._truths: dict[tuple[int, int], Truth | None] = {}
         self._revisits: list[bool] = []
-        self._facts: dict[int, Facts] = {}
-        self._shortlists: dict[tuple[int, int], Shortlist] = {}
-        self._evidence: dict[tuple[Any, ...], dict[tuple[int, int], LoopCandidate]] = {}
+        self._evidence = Evidence(run)
+        self._motions: dict[int, np.ndarray | None] = {}
         self._judged: tuple[Judgement, ...] = ()
-        self._variants: dict[Any, dict[int, LoopReport]] = {}
         self._reports = Recent(self._examine_all, KEEP_REPORTS)
 
     def rows(self) -> tuple[LoopRow, ...]:
@@ -120,7 +97,7 @@ class LoopStudy:
 
         Raises IndexError unless match < query, and query is of this run.
         """
-        return examine((params or self._params(self._row(query))).loop, self._state(), query, match)
+        return examine((params or self._params(self._row(query))).loop, self._evidence.state(), query, match)
 
     def truth(self, query: int, match: int) -> Truth | None:
         """How two keyframes truly lie to each other; None without ground truth, and for those of an earlier map."""
@@ -145,14 +122,14 @@ class LoopStudy:
 
     def advance(self, n: int = 1) -> int:
         """Look into the next `n` keyframes that nobody has looked into; returns how many are left."""
-        missing = [row for row in self._own_rows() if row.number not in self._variant(self._params(row).loop)]
+        missing = [row for row in self._own_rows() if not self._evidence.has(self._params(row).loop, row.number)]
         for row in missing[:n]:
-            self._judgeable(self._params(row).loop, row)
+            self._evidence.report(self._params(row).loop, row.number)
         return len(missing) - min(n, len(missing))
 
     def judged(self) -> tuple[LoopReport, ...]:
         """The keyframes that `advance` has come to, as they were judged, with every gate and without matches."""
-        known = takewhile(lambda row: row.number in self._variant(self._params(row).loop), self._own_rows())
+        known = takewhile(lambda row: self._evidence.has(self._params(row).loop, row.number), self._own_rows())
         return tuple(j.report for j in self._as_recorded(list(known)))
 
     def funnel(self) -> tuple[FunnelStage, ...]:
@@ -173,13 +150,16 @@ class LoopStudy:
         rows = self._own_rows()
         if not self._prepare(rows, {}, at, progress, cancelled):
             return None
-        answered, unanswered = _answerable(changes)
-        if not self._prepare(rows, answered, at, progress, cancelled):
-            return None
+        answered, unanswered = _answerable(changes, can_thin=len(rows) == len(self.rows()))
         recorded = self._as_recorded(rows)
-        before, after = (
-            tuple(j.report for j in side) for side in (recorded, self._judge(rows, answered, at, recorded))
-        )
+        before = tuple(j.report for j in recorded)
+        after: tuple[LoopReport, ...] | None = None
+        if answered.keys() & _THINNING:
+            after = self._thin(rows, answered, at, progress, cancelled)
+        elif self._prepare(rows, answered, at, progress, cancelled):
+            after = tuple(j.report for j in self._judge(rows, answered, at, recorded))
+        if after is None:
+            return None
         first = next((row for row, a, b in zip(rows, before, after) if counterfactual.differs(a, b)), None)
         was, would = (counterfactual.pairs(reports, self.truth) for reports in (before, after))
         feedback = any(self._params(row).loop.relocalize for row in rows)
@@ -254,16 +234,9 @@ class LoopStudy:
     def _params(self, row: LoopRow) -> Params:
         return self.run.header.params_at(row.made_in)
 
-    def _keyframes(self) -> Keyframes:
-        return self.run.keyframes
-
-    def _state(self) -> LoopState:
-        keyframes = self._keyframes()
-        return LoopState(keyframes, self._places.vocabulary.limits, len(keyframes))
-
     def _examine_all(self, key: tuple[int, Loop]) -> tuple[LoopReport, int]:
         keyframe, loop = key
-        return detect_again(loop, self._state(), keyframe), REPORT_BYTES
+        return detect_again(loop, self._evidence.state(), keyframe), REPORT_BYTES
 
     def _true_poses(self) -> np.ndarray:
         """(n, 7); NaN for the keyframes of an earlier map, whose clock may be another one."""
@@ -290,19 +263,53 @@ class LoopStudy:
         """See to it that every keyframe can be judged with `changes`; False when cancelled."""
         for i, row in enumerate(rows):
             loop = self._changed(row, changes, at)
-            if row.number not in self._variant(loop):
+            if not self._evidence.has(loop, row.number):
                 progress(i / len(rows))
                 if cancelled():
                     return False
-                self._judgeable(loop, row)
+                self._evidence.report(loop, row.number)
         return True
 
     def _judge(
         self, rows: list[LoopRow], changes: Mapping[str, Any], at: int, like: tuple[Judgement, ...] = ()
     ) -> tuple[Judgement, ...]:
         settings = (self._changed(row, changes, at) for row in rows)
-        given = ((loop, self._judgeable(loop, row)) for loop, row in zip(settings, rows))
+        given = ((loop, self._evidence.report(loop, row.number)) for loop, row in zip(settings, rows))
         return tuple(judge_run(given, self._places.vocabulary.limits, self._places.keyframes, like))
+
+    def _thin(
+        self,
+        rows: list[LoopRow],
+        changes: Mapping[str, Any],
+        at: int,
+        progress: Callable[[float], None],
+        cancelled: Callable[[], bool],
+    ) -> tuple[LoopReport, ...] | None:
+        """Reports of all rows where some keyframes would not have been used; None when cancelled."""
+        settings = [self._changed(row, changes, at) for row in rows]
+        offered = (Offered(self._evidence.facts(row.number).T_w_b, self._motion(row)) for row in rows)
+        decided = list(admissions(settings, offered, self._places.keyframes))
+        used = [i for i, admission in enumerate(decided) if admission.used]
+        chosen, given = [rows[i].number for i in used], []
+        for n, i in enumerate(used):
+            progress(n / len(used))
+            if cancelled():
+                return None
+            report = self._evidence.report_among(settings[i], chosen, n, self.first, decided[i].odometry)
+            given.append((settings[i], report))
+        judged = judge_run(given, self._places.vocabulary.limits, self._places.keyframes)
+        numbers = [*range(self.first), *chosen]
+        found = {numbers[j.report.keyframe]: _renumbered(j.report, numbers) for j in judged}
+        left_out = (_left_out(row, admission) for row, admission in zip(rows, decided))
+        return tuple(found.get(row.number, out) for row, out in zip(rows, left_out))
+
+    def _motion(self, row: LoopRow) -> np.ndarray | None:
+        """Covariance of the motion since the keyframe offered before; None where that is not known."""
+        if row.number not in self._motions:
+            window = self.run.report(row.made_in).window
+            joined = self._evidence.facts(row.number).odometry is not None
+            self._motions[row.number] = window.motion if window and joined else None
+        return self._motions[row.number]
 
     def _as_recorded(self, rows: list[LoopRow]) -> tuple[Judgement, ...]:
         """The first rows, judged as they were."""
@@ -311,83 +318,27 @@ class LoopStudy:
             self._judged = judged = self._judge(rows, {}, 0)
         return judged
 
-    def _variant(self, loop: Loop) -> dict[int, LoopReport]:
-        """Reports that can be judged with any limits, as far as they depend on parameters."""
-        key = (_values(loop), loop.min_gap, loop.candidates)
-        with self._lock:
-            self._variants[key] = self._variants.pop(key, {})  # the newest comes last
-            while len(self._variants) > KEEP_VARIANTS:
-                del self._variants[next(iter(self._variants))]
-            return self._variants[key]
 
-    def _judgeable(self, loop: Loop, row: LoopRow) -> LoopReport:
-        """A report with all gates of all candidates but those of consistency, and without matches."""
-        variant, k = self._variant(loop), row.number
-        if k not in variant:
-            short, facts = self._shortlist(loop, k), self._facts[k]
-            found = short.found[: loop.candidates]
-            evidence = self._verified(loop, k, [r.match for r in found])
-            candidates = tuple(replace(e, score=r.score, gates=r.gates + e.gates) for r, e in zip(found, evidence))
-            variant[k] = LoopReport(
-                k,
-                facts.frame,
-                facts.t_ns,
-                facts.n_landmarks,
-                facts.n_points,
-                short.neighbour_score,
-                short.own,
-                candidates,
-                LoopOutcome.TOO_RECENT,
-                facts.T_w_b,
-                facts.odometry,
-            )
-        return variant[k]
+def _answerable(changes: Mapping[str, Any], can_thin: bool) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Changes that the study answers, and parameters that it cannot.  The pose graph decides nothing about loops.
 
-    def _shortlist(self, loop: Loop, k: int) -> Shortlist:
-        key = (k, loop.min_gap)
-        known = self._shortlists.get(key)
-        if known is None or known.wanted < loop.candidates:
-            state = self._state()
-            keyframe = state.keyframes[k]
-            scores = state.index.scores(keyframe.bag)[:k]
-            own, found = retrieve(replace(loop, order="best"), state.limits, keyframe.n_landmarks, scores)
-            known = Shortlist(loop.candidates, own, float(scores[-1]) if k else None, found)
-            self._facts[k] = Facts(
-                keyframe.frame,
-                keyframe.t_ns,
-                keyframe.n_landmarks,
-                len(keyframe.uv_px),
-                keyframe.T_w_b,
-                keyframe.odometry,
-            )
-            self._shortlists[key] = known
-        return known
-
-    def _verified(self, loop: Loop, query: int, matches: list[int]) -> list[LoopCandidate]:
-        known = self._evidence.setdefault(_values(loop), {})
-        missing = [m for m in matches if (query, m) not in known]
-        if missing:
-            keyframes = self._keyframes()
-            later = keyframes[query]
-            for m in missing:
-                found = verify(loop, Pair(query, m, later, keyframes[m], 0.0, ()), evaluate_all=True)
-                known[query, m] = replace(found, matches=None)
-        return [known[query, m] for m in matches]
-
-
-def _values(loop: Loop) -> tuple[Any, ...]:
-    return tuple(getattr(loop, f.name) for f in fields(loop) if f.name in VALUES)
-
-
-def _answerable(changes: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Changes that the study answers, and parameters that it cannot.  The pose graph decides nothing about loops."""
+    `can_thin`: the run used every keyframe, so it is known what it would be like with fewer.
+    """
     parameters.replace(Params(), changes)
-    unanswered = []
-    for key in changes:
-        section, name = key.split(".")
-        if section != "pose_graph" and (section != "loop" or name in UNANSWERED):
-            unanswered.append(key)
-    return {key: value for key, value in changes.items() if key not in unanswered}, tuple(unanswered)
+    beyond = {f"loop.{name}" for name in UNANSWERED} | (set() if can_thin else _THINNING)
+    unanswered = tuple(k for k in changes if k in beyond or not k.startswith(("loop.", "pose_graph.")))
+    return {key: value for key, value in changes.items() if key not in unanswered}, unanswered
+
+
+def _renumbered(report: LoopReport, numbers: list[int]) -> LoopReport:
+    """A report whose keyframes are rows of `numbers`."""
+    query = numbers[report.keyframe]
+    candidates = tuple(replace(c, query=query, match=numbers[c.match]) for c in report.candidates)
+    return replace(report, keyframe=query, candidates=candidates)
+
+
+def _left_out(row: LoopRow, admission: Admission) -> LoopReport:
+    return LoopReport(row.number, row.frame, row.t_ns, 0, 0, None, admission.gates, (), LoopOutcome.LEFT_OUT)
 
 
 def _outward(key: str, value: Any, judged: tuple[Gate, ...]) -> Any:

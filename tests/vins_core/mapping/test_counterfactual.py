@@ -118,6 +118,27 @@ def test_what_limits_compare_is_computed_again_where_it_changes(feedforward_run:
     assert predicted(study_of(feedforward_run).predict(changes)) == would
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"loop.every": 2, "loop.min_gap": 4},
+        {"loop.skip_first": 7},
+        {"loop.min_spacing_m": 0.12, "loop.min_gap": 5, "loop.max_ratio": 0.8},
+        {"loop.every": 3, "loop.skip_first": 4, "loop.min_gap": 2, "loop.min_agreement": 1},
+    ],
+    ids=str,
+)
+def test_keyframes_may_be_left_out(feedforward_run: Path, changes: dict[str, Any]) -> None:
+    run, found = studied(feedforward_run), predict(study_of(feedforward_run), changes)
+    would = [c.loop for c in close_again(run, parameters.replace(run.header.params, changes)) if c and c.loop]
+    assert [r.outcome for r in found.reports] == [r.outcome for r in would]
+    frames = {r.keyframe: r.frame for r in would}
+    numbers = {r.frame: r.keyframe for r in found.reports}
+    accepted = [(r.frame, frames[r.accepted.match]) for r in would if r.accepted]
+    assert accepted and predicted(found) == [(numbers[query], numbers[match]) for query, match in accepted]
+    assert len({r.keyframe for r in found.reports}) == len(found.reports) > len(frames)
+
+
 def test_a_fork_accepts_what_was_predicted(feedforward_run: Path, tmp_path: Path) -> None:
     run, changes = RunReader(feedforward_run), {"loop.max_heading_deg": 21.5}
     found = predict(LoopStudy(run), changes)
