@@ -139,6 +139,8 @@ class Drawing:
         ctx = self._context(run, k)
         session.workspace.name_view(f"run={session.opened.id}&frame={k}&layout={session.layout.name}")
         for panels in self._messages(parts):
+            if self._closed:
+                return
             self._paint.clear()
             with self._message():
                 changed = [panel.render(ctx) for panel in panels]

@@ -30,6 +30,8 @@ log = logging.getLogger("vinspect")
 
 SETTLE_S = 0.12
 """A frame is solved again once it has been looked at for so long."""
+FIRST_S = 0.005
+"""Gates that were judged again are on their way to the page before a solve takes up the processor."""
 BUSY_S = 0.1
 """That a question is worked on is said once it takes so long: most answers come sooner."""
 
@@ -203,6 +205,10 @@ class Experiment:
                     if self._asked != question:
                         continue
                     self._settled = question.run, question.frame
+                elif self._answer is not None and self._answer.judged is not None and self._answer.judged.gates:
+                    await asyncio.sleep(FIRST_S)
+                    if self._asked != question:
+                        continue
                 self._answer = await asyncio.to_thread(self._solve, question, self._answer)
                 before, self._tracked = self._tracked, question.rerun
                 self._refresh("what_if", *(["camera"] if before or self._tracked else []), "scene")
