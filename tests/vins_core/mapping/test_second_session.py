@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,16 @@ from vins_core.errors import MapError, OutputError, RunError
 from vins_core.evaluation.align import Similarity, align
 from vins_core.evaluation.associate import associate
 from vins_core.geometry.camera import camera_from_dict, camera_to_dict
+from vins_core.io.write import write_recording
+from vins_core.loop.consistency import Way
+from vins_core.loop.keyframe import LoopKeyframe
 from vins_core.mapping import maps
 from vins_core.mapping.conclusion import final_graph, optimized_trajectory, save_map
 from vins_core.mapping.study import LoopStudy
 from vins_core.record.recording import RunReader
 from vins_core.runner import run_recording
 from vins_core.sensors import Trajectory
+from vins_core.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")
@@ -142,3 +147,47 @@ def _judged(run: RunReader) -> list:
     study = LoopStudy(run)
     study.advance(10**6)
     return list(study.judged())
+
+
+def _on(way: Way, **changes: int) -> Way:
+    return replace(way, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "forge",
+    [
+        lambda k: replace(k, descriptors=k.descriptors[1:]),
+        lambda k: replace(k, bag=replace(k.bag, words=k.bag.words + 10**6)),
+        lambda k: replace(k, points_w=k.points_w[:, :2]),
+        lambda k: replace(k, odometry=np.zeros((3, 3))),
+        lambda k: replace(k, node=replace(k.node, tied=_on(k.node.tied, chain=30, tie=30))),
+        lambda k: replace(k, node=replace(k.node, tied=_on(k.node.tied, chain=99, tie=98))),
+        lambda k: replace(k, node=replace(k.node, odometry=_on(k.node.odometry, tree=5, chain=7, tie=4))),
+    ],
+)
+def test_a_keyframe_that_no_loop_stage_made_is_refused(looping_run: Path, forge: Callable[..., LoopKeyframe]) -> None:
+    """Ways that lead back to no root would never end."""
+    run = RunReader(looping_run)
+    assert run.places is not None
+    for number, keyframe in enumerate(run.keyframes):
+        maps.check_keyframe(number, keyframe, run.places.vocabulary)
+    with pytest.raises(ValueError, match=r"keyframe 30 (contradicts itself|is reached from no earlier one)"):
+        maps.check_keyframe(30, forge(run.keyframes[30]), run.places.vocabulary)
+
+
+@pytest.mark.slow
+def test_two_sessions_of_a_building_end_in_one_frame(tmp_path: Path) -> None:
+    """Entered by another room and walked the other way."""
+    for name in ("building_first", "building_second"):
+        simulation = simulate(name, seed=1)
+        write_recording(simulation.messages(), tmp_path / f"{name}.rec", "asl", settings=simulation.settings)
+    run_recording(tmp_path / "building_first.rec", out=tmp_path / "first")
+    first = RunReader(tmp_path / "first")
+    save_map(first, tmp_path / "map")
+    run_recording(tmp_path / "building_second.rec", out=tmp_path / "second", map_folder=tmp_path / "map")
+    second = RunReader(tmp_path / "second")
+    assert first.truth is not None and second.truth is not None
+    frame = align(*against_truth(optimized_trajectory(first), first.truth))
+    for run in (first, second):
+        errors = errors_m(optimized_trajectory(run), run.truth, frame)
+        assert np.sqrt(np.mean(np.square(errors))) < 0.05
