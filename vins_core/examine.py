@@ -90,7 +90,7 @@ def uncertainty(run: RunReader, k: int, params: Params | None = None) -> Uncerta
     if turn is None:
         return None
     assembly = turn.solved.assembly
-    states = hold_oldest(turn.solved.solution.states, assembly.problem.initial.poses[0])
+    states = hold_oldest(turn.solved.solution.states, assembly.problem.initial.poses[0], not assembly.problem.inertial)
     known = covariances(assembly.problem, states)
     frames = np.array([f.frame for f in turn.solved.window.frames])
     return None if known is None else Uncertainty(frames, assembly.ids, known)

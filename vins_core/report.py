@@ -84,6 +84,16 @@ class LossReason(StrEnum):
     RESET = "tracker reset"
 
 
+class RightLoss(StrEnum):
+    """Why a track has no match in the image of the second camera."""
+
+    FLOW = "flow failed"
+    FLOW_BACK = "flow-back"
+    BORDER = "border"
+    EPIPOLAR = "epipolar line"
+    NO_IMAGE = "no image"
+
+
 class LandmarkStatus(StrEnum):
     CANDIDATE = "candidate"
     TRIANGULATED = "triangulated"
@@ -93,6 +103,8 @@ class LandmarkStatus(StrEnum):
 
 LOSS_REASONS = tuple(LossReason)
 """`TrackReport.lost_reason` holds indices into this tuple."""
+RIGHT_LOSSES = tuple(RightLoss)  # begins as LOSS_REASONS does
+"""`TrackReport.right_loss` holds indices into this tuple."""
 LANDMARK_STATUSES = tuple(LandmarkStatus)
 """`LandmarkReport.status` holds indices into this tuple."""
 
@@ -111,6 +123,11 @@ class TrackReport:
     lost_reason: np.ndarray  # (k,) uint8, index into LOSS_REASONS
     n_new: int
     gates: tuple[Gate, ...]  # e.g. F-RANSAC inlier ratio, share surviving flow
+    # with a second camera, else empty; one row per track alive
+    right_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
+    """(n, 2) float32, where the second camera sees each track; NaN where it does not."""
+    right_loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
+    """(n,) uint8, index into RIGHT_LOSSES; 255 where there is a match."""
 
 
 @dataclass(frozen=True)
@@ -194,6 +211,9 @@ class SolveReport:
     visual_error_px: np.ndarray  # (N,) float32, unweighted norm in px460, after the solve
     # one row per IMU factor (slot k to k + 1)
     imu_sigma: np.ndarray  # (n - 1, 5) norm of the whitened residual of p, q, v, ba, bg
+    visual_camera: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
+    """(N,) uint8, which camera saw each projection; empty when camera 0 saw all.  Rows of camera 1 in the frame of the
+    anchor have the same slot twice."""
 
 
 @dataclass(frozen=True)

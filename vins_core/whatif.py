@@ -79,9 +79,10 @@ def recorded_tracks(run: RunReader, k: int, params: Params) -> tuple[TrackerStat
     """What the front end made of frame k, with the age that `params` demands of a track."""
     tracker, report = run.state(k).tracker, run.report(k).tracks
     seen = tracker.age >= params.frontend.min_track_count
+    right = tracker.right.among(tracker.ids[seen]) if tracker.right else None
     return (
         tracker,
-        Observations(tracker.ids[seen], tracker.rays[seen], tracker.uv_px[seen], report.velocity[seen]),
+        Observations(tracker.ids[seen], tracker.rays[seen], tracker.uv_px[seen], report.velocity[seen], right),
         report,
     )
 
@@ -164,6 +165,11 @@ def _landmarks(before: FrameReport, after: FrameReport) -> LandmarkEffect:
 def _residuals(before: FrameReport, after: FrameReport) -> ResidualEffect:
     a, b = before.solve, after.solve
     assert a is not None and b is not None
+    own = [s.visual_camera == 0 if len(s.visual_camera) else slice(None) for s in (a, b)]
+    a, b = (
+        replace(s, visual_ids=s.visual_ids[k], visual_slots=s.visual_slots[k], visual_error_px=s.visual_error_px[k])
+        for s, k in zip((a, b), own)
+    )
     keys = [s.visual_ids * 256 + s.visual_slots[:, 1] for s in (a, b)]
     both, i, j = np.intersect1d(*keys, return_indices=True)
     sigmas = (a.imu_sigma, b.imu_sigma)

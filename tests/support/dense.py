@@ -28,7 +28,7 @@ def jacobian(problem: WindowProblem) -> tuple[np.ndarray, np.ndarray, Linearizer
     if linearizer.inertial:
         for r_k, J_k, columns in zip(*linearizer.inertial.rows(states), linearizer.inertial.columns):
             add(r_k, J_k, columns)
-    if visual := linearizer.visual:
+    for visual in linearizer.visual:
         system, *_ = NumpyRows(visual.index).system(states)
         columns = np.column_stack([visual.columns[visual.pair], D + visual.index.table.landmark])
         for row in range(2):

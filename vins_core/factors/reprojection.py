@@ -1,8 +1,11 @@
-"""The visual residual: a landmark anchored in frame i, seen again in frame j by the same camera.
+"""The visual residual: a landmark anchored in a camera of frame i, seen again, by whichever camera, in frame j.
 
-With the anchor's ray f_i scaled to z = 1, the inverse depth lambda = 1/z and p_c the landmark in camera j,
+With the anchor's ray f_i scaled to z = 1, the inverse depth lambda = 1/z and p_c the landmark in the camera that sees
+it again, there are three kinds (REFERENCE O11):
 
-    p_c = T_b_c^-1 T_w_bj^-1 T_w_bi T_b_c (f_i / lambda)
+    mono    p_c = T_b_c^-1  T_w_bj^-1 T_w_bi T_b_c  (f_i / lambda)     the same camera in another frame
+    cross   p_c = T_b_c2^-1 T_w_bj^-1 T_w_bi T_b_c1 (f_i / lambda)     another camera in another frame
+    same    p_c = T_b_c2^-1 T_b_c1 (f_i / lambda)                      another camera in the same frame
 
     plane:   r = (p_c.xy / p_c.z - f_j.xy / f_j.z) / sigma                         (REFERENCE O4)
     sphere:  r = [b_1 b_2]' (p_c / |p_c| - f_j) / sigma                            (seed 000.3.3.3)
@@ -14,25 +17,34 @@ The sphere form takes any ray f_j, the plane form needs f_j.z > 0; the anchor ne
 
 from __future__ import annotations
 
+from typing import Literal
+
 import casadi as ca
 import numpy as np
 
-from .factor import Factor, pose, vector
+from .factor import Block, Factor, pose, vector
 from .symbolic import Pose
 
 FOCAL_PX = 460.0
 """Focal length of the virtual camera in which pixel thresholds are stated ("px460")."""
 
+Kind = Literal["mono", "cross", "same"]
+
 BLOCKS = (pose("pose_i"), pose("pose_j"), pose("extrinsic"), vector("inv_depth", 1))
+CROSS_BLOCKS = (*BLOCKS[:2], pose("extrinsic_i"), pose("extrinsic_j"), BLOCKS[3])
+SAME_BLOCKS = CROSS_BLOCKS[2:]
 
 
 def _point_in_camera_j(values: list, anchor_xy: ca.SX) -> ca.SX:
     """lambda p_c, (3,)."""
-    pose_i, pose_j, extrinsic, inv_depth = values
-    assert isinstance(pose_i, Pose)
-    body_i = extrinsic.act(ca.vertcat(anchor_xy, 1), inv_depth)
-    world = pose_i.act(body_i, inv_depth)
-    return extrinsic.inverse_act(pose_j.inverse_act(world, inv_depth), inv_depth)
+    *poses, inv_depth = values
+    extrinsics = poses[2:] or poses  # of one camera, or of two; `same` has no other poses
+    point = extrinsics[0].act(ca.vertcat(anchor_xy, 1), inv_depth)
+    if len(poses) > 2:
+        pose_i, pose_j = poses[:2]
+        assert isinstance(pose_i, Pose)
+        point = pose_j.inverse_act(pose_i.act(point, inv_depth), inv_depth)
+    return extrinsics[-1].inverse_act(point, inv_depth)
 
 
 def _plane(values: list, data: ca.SX) -> ca.SX:
@@ -47,10 +59,20 @@ def _sphere(values: list, data: ca.SX) -> ca.SX:
     return sqrt_info * ca.vertcat(ca.dot(b1, p), ca.dot(b2, p)) / ca.norm_2(p)
 
 
-FACTORS = {
-    "plane": Factor("reprojection_plane", BLOCKS, 5, _plane),
-    "sphere": Factor("reprojection_sphere", BLOCKS, 9, _sphere),
+def _both_forms(suffix: str, blocks: tuple[Block, ...]) -> dict[str, Factor]:
+    return {
+        "plane": Factor(f"reprojection_plane{suffix}", blocks, 5, _plane),
+        "sphere": Factor(f"reprojection_sphere{suffix}", blocks, 9, _sphere),
+    }
+
+
+FACTORS = _both_forms("", BLOCKS)
+KINDS: dict[Kind, dict[str, Factor]] = {
+    "mono": FACTORS,
+    "cross": _both_forms("_cross", CROSS_BLOCKS),
+    "same": _both_forms("_same", SAME_BLOCKS),
 }
+"""kind -> form -> factor."""
 
 
 def tangent_basis(rays: np.ndarray) -> np.ndarray:

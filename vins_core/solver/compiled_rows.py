@@ -10,11 +10,11 @@ import numpy as np
 
 from ..factors.c_source import c_function
 from ..factors.factor import Factor
-from ..factors.reprojection import FACTORS, measurement
+from ..factors.reprojection import KINDS, Kind, measurement
 from ..factors.robust import Loss
 from ..geometry import so3
 from .problem import Projections, States
-from .visual_rows import NumpyRows, RowIndex, Rows, active_blocks
+from .visual_rows import NumpyRows, RowIndex, Rows, active_blocks, numbers_of_blocks
 
 _LOSSES = ("none", "cauchy", "huber")
 _INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
@@ -30,7 +30,7 @@ class Arguments(ctypes.Structure):
         ("curved", _INT),
         ("scale", ctypes.c_double),
         *((name, _POINTER) for name in ("anchor", "observer", "landmark", "start", "place", "row", "data")),
-        *((name, _POINTER) for name in ("poses", "extrinsic", "inv_depths")),
+        *((name, _POINTER) for name in ("poses", "extrinsics", "inv_depths")),
         *((name, _POINTER) for name in ("residuals", "squared", "packed", "W", "h", "g_l")),
     )
 
@@ -39,12 +39,16 @@ class Arguments(ctypes.Structure):
 def source() -> str:
     """The whole translation unit: kernel.c and one entry for each residual, with the extrinsics held and free."""
     parts = [Path(__file__).with_name("kernel.c").read_text()]
-    for factor in FACTORS.values():
-        for blocks in (2, 3):
-            name = _entry(factor, blocks)
-            parts.append(c_function(factor.function(active_blocks(blocks)), name))
-            parts.append(f"PROJECT({name}, {factor.n_data}, {blocks})")
+    for factor, blocks in _entries():
+        name, (poses, all_blocks) = _entry(factor, blocks), numbers_of_blocks(factor)
+        parts.append(c_function(factor.function(active_blocks(factor, blocks)), name))
+        parts.append(f"PROJECT({name}, {poses}, {all_blocks - poses}, {factor.n_data}, {blocks})")
     return "\n".join(parts) + "\n"
+
+
+def _entries() -> list[tuple[Factor, int]]:
+    """Every residual with every number of camera blocks that are differentiated."""
+    return [(f, n) for forms in KINDS.values() for f in forms.values() for n in numbers_of_blocks(f)]
 
 
 def _entry(factor: Factor, blocks: int) -> str:
@@ -57,7 +61,7 @@ class Library:
     def __init__(self, path: Path):
         loaded = ctypes.CDLL(str(path))
         self._entries = {}
-        for name in (_entry(factor, blocks) for factor in FACTORS.values() for blocks in (2, 3)):
+        for name in (_entry(*entry) for entry in _entries()):
             entry = getattr(loaded, f"project_{name}")
             entry.argtypes, entry.restype = (ctypes.POINTER(Arguments),), None
             self._entries[name] = entry
@@ -82,15 +86,16 @@ class CompiledRows:
             n=n, width=index.width, loss=_LOSSES.index(index.loss.kind), scale=index.loss.scale, **_addresses(arrays)
         )
         self._n_poses = 1 + max(table.anchor.max(), table.observer.max())
+        self._cameras = [table.camera] if table.kind == "mono" else [table.camera, table.seen_by]
 
     def evaluate(self, states: States, curved: bool = False) -> Rows:
         n, m, width = len(self._index.table), self._index.n_landmarks, self._index.width
         inputs = {
             "poses": np.ascontiguousarray(states.poses, float),
-            "extrinsic": np.ascontiguousarray(states.extrinsics[self._index.table.camera], float),
+            "extrinsics": np.ascontiguousarray(states.extrinsics[self._cameras], float),
             "inv_depths": np.ascontiguousarray(states.inv_depths, float),
         }
-        if states.poses.shape[1:] != (7,) or len(states.poses) < self._n_poses or inputs["extrinsic"].shape != (7,):
+        if states.poses.shape[1:] != (7,) or len(states.poses) < self._n_poses or states.extrinsics.shape[1:] != (7,):
             raise ValueError(f"poses {states.poses.shape}, extrinsics {states.extrinsics.shape} are not those indexed")
         if inputs["inv_depths"].shape != (m,):
             raise ValueError(f"{inputs['inv_depths'].shape} inverse depths, {m} indexed")
@@ -108,21 +113,26 @@ def _addresses(arrays: dict[str, np.ndarray]) -> dict[str, int]:
 
 def check(library: Library) -> str:
     """Why `library` must not be used; empty when it gives the bits of NumPy on every residual and loss."""
-    for form, factor in FACTORS.items():
-        for blocks in (2, 3):
-            for loss in (Loss("none"), Loss("cauchy", 1.0), Loss("huber", 0.7)):
-                index, states = _example(form, factor, blocks, loss)
-                ours, expected = library.rows(index), NumpyRows(index)
-                for curved in (False, True):
-                    a, b = (vars(rows.evaluate(states, curved)) | {"packed": rows.packed} for rows in (ours, expected))
-                    for name in a:
-                        if a[name].tobytes() != b[name].tobytes():
-                            by = np.abs(a[name] - b[name]).max()
-                            return f"{name} of {factor.name} with {loss} differs from NumPy's by {by:.1e}"
+    for kind, forms in KINDS.items():
+        for form, factor in forms.items():
+            for blocks in numbers_of_blocks(factor):
+                for loss in (Loss("none"), Loss("cauchy", 1.0), Loss("huber", 0.7)):
+                    if difference := _compare(library, *_example(kind, form, blocks, loss)):
+                        return f"{difference} of {factor.name} with {loss}"
     return ""
 
 
-def _example(form: str, factor: Factor, blocks: int, loss: Loss) -> tuple[RowIndex, States]:
+def _compare(library: Library, index: RowIndex, states: States) -> str:
+    ours, expected = library.rows(index), NumpyRows(index)
+    for curved in (False, True):
+        a, b = (vars(rows.evaluate(states, curved)) | {"packed": rows.packed} for rows in (ours, expected))
+        for name in a:
+            if a[name].tobytes() != b[name].tobytes():
+                return f"{name} differs from NumPy's by {np.abs(a[name] - b[name]).max():.1e}"
+    return ""
+
+
+def _example(kind: Kind, form: str, blocks: int, loss: Loss) -> tuple[RowIndex, States]:
     """A window of random numbers, of a size that fills the lanes of the kernel more than once but not exactly."""
     rng = np.random.default_rng(0)
     n, m, frames = 300, 40, 8
@@ -130,10 +140,15 @@ def _example(form: str, factor: Factor, blocks: int, loss: Loss) -> tuple[RowInd
     anchor = rng.integers(0, frames - 1, m)[landmark]
     rays = rng.normal(size=(2, n, 3)) * 0.4 + [0, 0, 1]
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    table = Projections(anchor, rng.integers(anchor + 1, frames), landmark, rays[0], rays[1])
-    starts = [6 * table.anchor, 6 * table.observer, np.full(n, 6 * frames)]
-    place, width = rng.permutation(2 * n).reshape(2, n), 6 * (frames + 1)
+    observer = anchor if kind == "same" else rng.integers(anchor + 1, frames)
+    cameras = (0, 0) if kind == "mono" else (0, 1)
+    table = Projections(anchor, observer, landmark, rays[0], rays[1], *cameras, kind)
+    factor = KINDS[kind][form]
+    starts = [] if kind == "same" else [6 * table.anchor, 6 * table.observer]
+    starts += [np.full(n, 6 * (frames + camera)) for camera in sorted(set(cameras))]
+    place, width = rng.permutation(2 * n).reshape(2, n), 6 * (frames + 2)
     data = measurement(form, rays[0], rays[1], 460.0)
-    index = RowIndex(table, factor, data, loss, rng.permutation(n), place, np.stack(starts[:blocks]), m, width)
-    T = np.concatenate([rng.normal(size=(frames + 1, 3)), so3.exp(rng.normal(size=(frames + 1, 3)))], 1)
-    return index, States(T[:-1], np.zeros((frames, 9)), T[-1:], rng.uniform(-0.1, 1, m))
+    start = np.array(starts[:blocks], np.int64).reshape(blocks, n)
+    index = RowIndex(table, factor, data, loss, rng.permutation(n), place, start, m, width)
+    T = np.concatenate([rng.normal(size=(frames + 2, 3)), so3.exp(rng.normal(size=(frames + 2, 3)))], 1)
+    return index, States(T[:-2], np.zeros((frames, 9)), T[-2:], rng.uniform(-0.1, 1, m))

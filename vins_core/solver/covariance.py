@@ -31,7 +31,7 @@ class Covariances:
     """Marginal covariances; tangents as in `States`."""
 
     poses: np.ndarray  # (n, 6, 6) of the frames, dp in m, dtheta in rad (body side)
-    speed_biases: np.ndarray  # (n, 9, 9) v, b_a, b_g
+    speed_biases: np.ndarray  # (n, 9, 9) v, b_a, b_g; NaN without IMU
     inv_depths: np.ndarray  # (M,) variances, 1/m^2; NaN without information
     points_w: np.ndarray  # (M, 3) landmarks in the world, m
     landmarks_w: np.ndarray  # (M, 3, 3) their covariances, m^2; NaN without information
@@ -41,14 +41,14 @@ def covariances(problem: WindowProblem, states: States) -> Covariances | None:
     """None when the normal equations are singular beyond position and yaw, as without IMU or prior."""
     linearizer = Linearizer(problem)
     layout, system = linearizer.layout, linearizer.linearize(states)
-    factor = _factor_cameras(system, gauge_damping(states.poses[0]))
+    factor = _factor_cameras(system, gauge_damping(states.poses[0], not problem.inertial))
     if factor is None:
         return None
     C = factor.inverse()
-    of_poses, of_speed_biases = (
-        C[at[:, :, None], at[:, None, :]]
-        for at in (layout.columns(kind, np.arange(layout.n_frames)) for kind in ("pose", "speed_bias"))
-    )
+    of_poses = _diagonal_blocks(C, layout.columns("pose", np.arange(layout.n_frames)))
+    of_speed_biases = np.full((layout.n_frames, 9, 9), np.nan)
+    if layout.inertial:
+        of_speed_biases = _diagonal_blocks(C, layout.columns("speed_bias", np.arange(layout.n_frames)))
     known = system.h > 0
     w = np.divide(system.W, system.h[:, None], out=np.full_like(system.W, np.nan), where=known[:, None])
     P = layout.visual
@@ -70,7 +70,7 @@ def relative_poses(
     """
     if not pairs:
         return []
-    layout, gauge = layout_of(problem), gauge_damping(states.poses[0])
+    layout, gauge = layout_of(problem), gauge_damping(states.poses[0], not problem.inertial)
     factor = _factor_cameras(system, gauge) if system else None  # a loss that bends H may leave it indefinite
     factor = factor or _factor_cameras(Linearizer(problem).linearize(states), gauge)
     if factor is None:
@@ -122,14 +122,20 @@ def _factor_cameras(system: NormalEquations, gauge: np.ndarray) -> _Factor | Non
     return None if info else _Factor(L, scale)
 
 
+def _diagonal_blocks(C: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """(n, k, k) of the columns (n, k)."""
+    return C[at[:, :, None], at[:, None, :]]
+
+
 def _in_world(
     problem: WindowProblem, states: States, of_poses: np.ndarray, coupled: np.ndarray, variance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (M, 3) and covariances (M, 3, 3) of the landmarks."""
-    table, M = problem.projections, problem.n_landmarks
+    M, camera = problem.n_landmarks, problem.projections.camera  # the same for all tables
     anchor, ray = np.zeros(M, np.int64), np.full((M, 3), np.nan)
-    anchor[table.landmark], ray[table.landmark] = table.anchor, table.rays_i
-    T_b_c = se3.from_quaternion_translation(states.extrinsics[table.camera, 3:], states.extrinsics[table.camera, :3])
+    for table in problem.tables:
+        anchor[table.landmark], ray[table.landmark] = table.anchor, table.rays_i
+    T_b_c = se3.from_quaternion_translation(states.extrinsics[camera, 3:], states.extrinsics[camera, :3])
     x_c = ray / (ray[:, 2:] * states.inv_depths[:, None])
     x_b = se3.transform(T_b_c, x_c)
     R = so3.to_matrix(states.poses[anchor, 3:])

@@ -62,7 +62,7 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     """One trial step, accepted or not."""
     rule, system = rules(settings), at.system
     cost = max(system.cost.total, 1e-300)
-    path = at.path or _path(rule, system, at.states, at.mu)
+    path = at.path or _path(rule, system, at.states, at.mu, not linearizer.layout.inertial)
     if path is None:
         nothing = float("nan")
         return replace(
@@ -106,14 +106,14 @@ def solve(settings: params.Solver, max_iterations: int, problem: WindowProblem) 
     return Solution(at.states, at.system, before, at.system.cost, at.reports, why)
 
 
-def _path(rule: Rules, system: NormalEquations, states: States, mu: float) -> Path | None:
+def _path(rule: Rules, system: NormalEquations, states: States, mu: float, whole_pose: bool = False) -> Path | None:
     """None when no mu up to MAX_MU makes the normal equations positive definite."""
     D2c, D2l = np.clip(system.H.diagonal(), 1e-6, 1e32), np.clip(system.h, 1e-6, 1e32)
     scale = np.sqrt(np.concatenate([D2c, D2l]))
     gradient = np.concatenate([system.g, system.g_l]) / scale
     back = gradient / scale
     cauchy = float(gradient @ gradient) / _curvature(system, back[: len(D2c)], back[len(D2c) :])
-    gauge = gauge_damping(states.poses[0]) if rule.holds_gauge else None
+    gauge = gauge_damping(states.poses[0], whole_pose) if rule.holds_gauge else None
     while (solved := schur.solve_damped(system, mu * D2c, mu * D2l, gauge)) is None:
         mu *= 10.0
         if mu > MAX_MU:

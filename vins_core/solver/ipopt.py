@@ -91,7 +91,7 @@ def solve_ipopt(
     """
     linearizer = Linearizer(problem)
     size, largest = linearizer.layout, -(-max(problem.n_landmarks, 1) // LANDMARK_STEP) * LANDMARK_STEP
-    start = problem.initial if gauge is None else hold_oldest(problem.initial, gauge)
+    start = problem.initial if gauge is None else hold_oldest(problem.initial, gauge, not problem.inertial)
     return _machine(size, largest, max_iterations, tolerance).solve(linearizer, start, hold_gauge)
 
 
@@ -103,7 +103,7 @@ def compare_optimum(problem: WindowProblem, solution: Solution, hold_gauge: bool
     ms: Timings = {}
     with stopwatch(ms, "ipopt"):
         optimum = solve_ipopt(problem, hold_gauge, solution.states.poses[0])
-    ours, best = (hold_oldest(s.states, problem.initial.poses[0]) for s in (solution, optimum))
+    ours, best = (hold_oldest(s.states, problem.initial.poses[0], not problem.inertial) for s in (solution, optimum))
     pose = difference_poses(ours.poses, best.poses)
     speed_bias = (ours.speed_biases - best.speed_biases).reshape(-1, 3, 3)
     v, b_a, b_g = np.linalg.norm(speed_bias, axis=2).T
@@ -163,7 +163,8 @@ class _Machine:
             self._linearizer, self._start, self._at = linearizer, start, None
             first = linearizer.linearize(start)
             self._landmarks = len(first.h)
-            self.coordinates = _Coordinates(first, start.poses[0], self._size, hold_gauge)
+            whole = not self._layout.inertial
+            self.coordinates = _Coordinates(first, start.poses[0], self._size, hold_gauge, whole)
             y = np.array(self._ipopt(x0=np.zeros(self._size))["x"]).ravel()
             stats = self._ipopt.stats()
             states = self._retract(y)
@@ -188,13 +189,13 @@ class _Machine:
 class _Coordinates:
     """d = T y with T = diag(B, 1, 1, ...) diag(scale): B turns the axes of the oldest pose, to hold four of them."""
 
-    def __init__(self, system: NormalEquations, oldest: np.ndarray, size: int, hold_gauge: bool):
+    def __init__(self, system: NormalEquations, oldest: np.ndarray, size: int, hold_gauge: bool, whole: bool = False):
         information = np.zeros(size)
         D, m = len(system.g), len(system.h)
         information[:D], information[D : D + m] = system.H.diagonal(), system.h
         B = np.eye(6)
         if hold_gauge:
-            values, vectors = np.linalg.eigh(gauge_damping(oldest))
+            values, vectors = np.linalg.eigh(gauge_damping(oldest, whole))
             B = vectors * (values < 0.5 * values[-1])  # what is held becomes a column of zeros
         information[:6] = (B.T @ system.H[:6, :6] @ B).diagonal()
         self._B = B

@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 enum { LANES = 64 }; /* projections evaluated together */
-enum { POSE = 7, TANGENT = 6, MAX_DATA = 16, MAX_BLOCKS = 3 };
+enum { POSE = 7, TANGENT = 6, MAX_DATA = 16, MAX_BLOCKS = 4 };
 enum loss { NONE, CAUCHY, HUBER };
 
 typedef void evaluate_fn(const double (*restrict x)[LANES], double (*restrict y)[LANES]);
@@ -30,7 +30,7 @@ struct arguments {
   const double *data;      /* (n_data, n) */
   /* the states */
   const double *poses;      /* (frames, 7) */
-  const double *extrinsic;  /* (7,) */
+  const double *extrinsics; /* (1 or 2, 7) of the cameras involved */
   const double *inv_depths; /* (landmarks,) */
   /* the results */
   double *residuals; /* (2, n) unweighted */
@@ -49,16 +49,18 @@ static inline double weight(enum loss loss, double scale, double s) {
 }
 
 /* What `evaluate` reads, for the projections from `first` on; spare lanes repeat the last one. */
-static inline void gather(const struct arguments *a, int64_t first, int lanes, int n_data, double (*x)[LANES]) {
+static inline void gather(const struct arguments *a, int64_t first, int lanes, int n_poses, int n_extrinsics,
+                          int n_data, double (*x)[LANES]) {
+  const int held = POSE * n_poses, depth = held + POSE * n_extrinsics;
   for (int l = 0; l < LANES; l++) {
     const int64_t i = first + (l < lanes ? l : lanes - 1);
-    for (int k = 0; k < POSE; k++) {
+    for (int k = 0; n_poses && k < POSE; k++) {
       x[k][l] = a->poses[a->anchor[i] * POSE + k];
       x[POSE + k][l] = a->poses[a->observer[i] * POSE + k];
-      x[2 * POSE + k][l] = a->extrinsic[k];
     }
-    x[3 * POSE][l] = a->inv_depths[a->landmark[i]];
-    for (int k = 0; k < n_data; k++) x[3 * POSE + 1 + k][l] = a->data[k * a->n + i];
+    for (int k = 0; k < n_extrinsics * POSE; k++) x[held + k][l] = a->extrinsics[k];
+    x[depth][l] = a->inv_depths[a->landmark[i]];
+    for (int k = 0; k < n_data; k++) x[depth + 1 + k][l] = a->data[k * a->n + i];
   }
 }
 
@@ -128,12 +130,13 @@ static inline void add(const struct arguments *a, int64_t i, int l, int camera, 
   }
 }
 
-static inline void project(const struct arguments *a, evaluate_fn *evaluate, int n_data, int blocks) {
+static inline void project(const struct arguments *a, evaluate_fn *evaluate, int n_poses, int n_extrinsics, int n_data,
+                           int blocks) {
   const int camera = blocks * TANGENT; /* y: columns of the camera blocks, the inverse depth, the residual */
-  double x[3 * POSE + 1 + MAX_DATA][LANES], y[2 * (MAX_BLOCKS * TANGENT + 2)][LANES];
+  double x[MAX_BLOCKS * POSE + 1 + MAX_DATA][LANES], y[2 * (MAX_BLOCKS * TANGENT + 2)][LANES];
   for (int64_t first = 0; first < a->n; first += LANES) {
     const int lanes = a->n - first < LANES ? (int)(a->n - first) : LANES;
-    gather(a, first, lanes, n_data, x);
+    gather(a, first, lanes, n_poses, n_extrinsics, n_data, x);
     evaluate(x, y);
     weigh(a, first, lanes, camera + 2, y);
     for (int l = 0; l < lanes; l++) {
@@ -144,6 +147,6 @@ static inline void project(const struct arguments *a, evaluate_fn *evaluate, int
 }
 
 /* One entry for each residual and choice of free blocks: constant sizes let the compiler unroll. */
-#define PROJECT(NAME, N_DATA, BLOCKS)                                            \
-  _Static_assert(N_DATA <= MAX_DATA && BLOCKS <= MAX_BLOCKS, "arrays too small"); \
-  void project_##NAME(const struct arguments *a) { project(a, NAME, N_DATA, BLOCKS); }
+#define PROJECT(NAME, N_POSES, N_EXTRINSICS, N_DATA, BLOCKS)                                 \
+  _Static_assert(N_POSES + N_EXTRINSICS <= MAX_BLOCKS && N_DATA <= MAX_DATA && BLOCKS <= MAX_BLOCKS, "too small"); \
+  void project_##NAME(const struct arguments *a) { project(a, NAME, N_POSES, N_EXTRINSICS, N_DATA, BLOCKS); }

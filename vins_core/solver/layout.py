@@ -32,6 +32,7 @@ class Layout:
     n_frames: int
     n_extrinsics: int  # free ones; 0 when they are held
     n_places: int = 0
+    inertial: bool = True  # whether there is an IMU; else speeds and biases are no variables
 
     @property
     def n_poses(self) -> int:
@@ -46,7 +47,7 @@ class Layout:
     @property
     def size(self) -> int:
         """D: all columns."""
-        return self.visual + 9 * self.n_frames
+        return self.visual + (9 * self.n_frames if self.inertial else 0)
 
     def is_free(self, variable: Variable) -> bool:
         return variable.kind != "extrinsic" or variable.slot < self.n_extrinsics

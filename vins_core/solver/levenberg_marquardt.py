@@ -48,7 +48,7 @@ def step(settings: params.Solver, linearizer: Linearizer, at: Iteration) -> Iter
     cost = max(system.cost.total, 1e-300)
     Dc = np.clip(system.H.diagonal(), 1e-6, 1e32)
     Dl = np.clip(system.h, 1e-6, 1e32)
-    gauge = gauge_damping(at.states.poses[0]) if rule.holds_gauge else np.zeros((6, 6))
+    gauge = gauge_damping(at.states.poses[0], not linearizer.layout.inertial) if rule.holds_gauge else np.zeros((6, 6))
     solved = schur.solve_damped(system, Dc / at.radius, Dl / at.radius, gauge)
     ratio, step_norm, trial_cost, expected = float("nan"), float("nan"), float("nan"), float("inf")
     if solved is not None:

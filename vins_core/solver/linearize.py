@@ -19,14 +19,14 @@ from .inertial_term import InertialTerm
 from .layout import Layout
 from .prior_term import PriorTerm
 from .problem import States, WindowProblem, retract_poses
-from .visual_term import VisualTerm
+from .visual_term import VisualResult, VisualTerm
 
 
 @dataclass(frozen=True)
 class Residuals:
     """What each factor says at one state."""
 
-    visual: np.ndarray  # (2, N) whitened, before the robust loss, in the order of the problem's table
+    visual: np.ndarray  # (2, N) whitened, before the robust loss, in the order of the problem's tables
     imu: np.ndarray  # (K, 15) whitened
     prior: np.ndarray  # (n,)
 
@@ -50,10 +50,10 @@ class Linearizer:
     def __init__(self, problem: WindowProblem):
         self.problem = problem
         self.layout = layout = layout_of(problem)
-        self.visual = VisualTerm(problem, layout) if len(problem.projections) else None
+        self.visual = tuple(VisualTerm(problem, layout, table) for table in problem.tables)
         self.inertial = InertialTerm(problem, layout) if problem.imu else None
         self.prior = PriorTerm(problem.prior, layout) if problem.prior else None
-        self._scatter = _Scatter([t for t in (self.visual, self.inertial, self.prior) if t], layout.size)
+        self._scatter = _Scatter([t for t in (*self.visual, self.inertial, self.prior) if t], layout.size)
 
     def linearize(self, states: States, curved: bool = False) -> NormalEquations:
         """`curved`: H with the curvature of the robust loss (factors/robust.py); cost and gradient are the same."""
@@ -63,7 +63,8 @@ class Linearizer:
         r_visual, r_imu, r_prior = np.zeros((2, 0)), np.zeros((0, 15)), np.zeros(0)
         blocks = iter(self._scatter.blocks)
         if self.visual:
-            visual, r_visual, landmarks = self.visual.linearize(states, next(blocks), curved)
+            terms = [term.linearize(states, next(blocks), curved) for term in self.visual]
+            visual, r_visual, landmarks = terms[0] if len(terms) == 1 else _sum(terms)
         if self.inertial:
             inertial, r_imu = self.inertial.linearize(states, next(blocks))
         if self.prior:
@@ -81,7 +82,7 @@ class Linearizer:
             extrinsics = retract_poses(extrinsics, dc[6 * n : P].reshape(-1, 6))
         return States(
             retract_poses(states.poses, dc[: 6 * n].reshape(n, 6)),
-            states.speed_biases + dc[P:].reshape(-1, 9),
+            states.speed_biases + dc[P:].reshape(-1, 9) if self.layout.inertial else states.speed_biases,
             extrinsics,
             states.inv_depths + dl,
         )
@@ -90,7 +91,14 @@ class Linearizer:
 def layout_of(problem: WindowProblem) -> Layout:
     """The columns of its variables."""
     n_extrinsics = len(problem.initial.extrinsics) if problem.free_extrinsics else 0
-    return Layout(problem.n_frames, n_extrinsics, problem.n_places)
+    return Layout(problem.n_frames, n_extrinsics, problem.n_places, problem.inertial)
+
+
+def _sum(terms: list[VisualResult]) -> VisualResult:
+    """Of several tables of projections on the same landmarks."""
+    costs, residuals, landmarks = zip(*terms)
+    W, h, g_l = (np.sum(parts, axis=0) for parts in zip(*landmarks))
+    return sum(costs), np.concatenate(residuals, 1), (W, h, g_l)
 
 
 class _Term(Protocol):

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..factors.preintegration import Preintegration
+from ..factors.reprojection import Kind
 from ..factors.robust import Loss
 from ..geometry import so3
 from .layout import Variable
@@ -34,14 +35,20 @@ class States:
 
 @dataclass(frozen=True)
 class Projections:
-    """One row per reprojection factor: each observation of a landmark but the anchor's own."""
+    """One row per reprojection factor, all of one kind and one pair of cameras (factors/reprojection.py).
+
+    mono: each observation of a landmark by the camera of its anchor but the anchor's own; cross: by another camera in
+    another frame; same: by another camera in the frame of the anchor, where `observer` equals `anchor`.
+    """
 
     anchor: np.ndarray  # (N,) slot whose camera holds the inverse depth
-    observer: np.ndarray  # (N,) slot that sees the landmark again, higher than the anchor
+    observer: np.ndarray  # (N,) slot that sees the landmark again, not lower than the anchor
     landmark: np.ndarray  # (N,) row of States.inv_depths
     rays_i: np.ndarray  # (N, 3) unit ray in the anchor camera
     rays_j: np.ndarray  # (N, 3) unit ray in the observing camera
-    camera: int = 0
+    camera: int = 0  # of the anchor
+    seen_by: int = 0  # camera that sees the landmark again
+    kind: Kind = "mono"
 
     def __len__(self) -> int:
         return len(self.anchor)
@@ -81,6 +88,16 @@ class WindowProblem:
     loss: Loss
     free_extrinsics: bool = False
     """Whether the extrinsics are variables; held ones cost nothing."""
+    stereo: tuple[Projections, ...] = ()
+    """What a second camera sees of the same landmarks, a table for each kind."""
+    inertial: bool = True
+    """Whether there is an IMU.  Without, speeds and biases are no variables and nothing shows where down is: the whole
+    pose of the oldest frame is held."""
+
+    @property
+    def tables(self) -> tuple[Projections, ...]:
+        """All tables of projections that have rows."""
+        return tuple(table for table in (self.projections, *self.stereo) if len(table))
 
     @property
     def n_frames(self) -> int:
@@ -100,14 +117,15 @@ def retract_poses(x: np.ndarray, d: np.ndarray) -> np.ndarray:
     return np.concatenate([x[:, :3] + d[:, :3], so3.retract(x[:, 3:], d[:, 3:])], 1)
 
 
-def hold_oldest(states: States, pose: np.ndarray) -> States:
+def hold_oldest(states: States, pose: np.ndarray, whole: bool = False) -> States:
     """`states` moved as a whole so that the oldest frame has position and yaw of `pose` (7,)  (REFERENCE O9).
 
     The problem cannot see these four directions; the move is the rotation about gravity that undoes the twist of
-    the oldest frame, which unlike a difference of Euler angles exists for any attitude.
+    the oldest frame, which unlike a difference of Euler angles exists for any attitude.  `whole`: so that it has all of
+    that pose, for a problem without IMU.
     """
     q_change = so3.multiply(pose[3:], so3.inverse(states.poses[0, 3:]))
-    twist = np.array([q_change[0], 0.0, 0.0, q_change[3]])
+    twist = q_change if whole else np.array([q_change[0], 0.0, 0.0, q_change[3]])
     norm = np.linalg.norm(twist)
     twist = twist / norm if norm > 1e-9 else np.array([1.0, 0.0, 0.0, 0.0])
     p = pose[:3] + so3.rotate(twist, states.poses[:, :3] - states.poses[0, :3])

@@ -89,8 +89,13 @@ def terminate(settings: params.Solver, at: Progress, max_iterations: int) -> str
     return None
 
 
-def gauge_damping(pose: np.ndarray) -> np.ndarray:
-    """(6, 6) on the position of a pose and on its rotation about gravity, whose axis in the body is R' e_z."""
+def gauge_damping(pose: np.ndarray, whole: bool = False) -> np.ndarray:
+    """(6, 6) on the position of a pose and on its rotation about gravity, whose axis in the body is R' e_z.
+
+    `whole`: on the whole pose, for a problem without IMU.
+    """
+    if whole:
+        return GAUGE_INFORMATION * np.eye(6)
     w, x, y, z = pose[3:]
     axis = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
     damping = np.zeros((6, 6))

@@ -35,9 +35,14 @@ class RowIndex:
         return 6 * len(self.start)
 
 
-def active_blocks(camera_blocks: int) -> tuple[str, ...]:
-    """The blocks that are differentiated: both poses, the extrinsic when it is the third, the inverse depth."""
-    return (*("pose_i", "pose_j", "extrinsic")[:camera_blocks], "inv_depth")
+def active_blocks(factor: Factor, camera_blocks: int) -> tuple[str, ...]:
+    """The blocks that are differentiated: the poses, the extrinsics when there is room for them, the inverse depth."""
+    return (*(block.name for block in factor.blocks[:-1][:camera_blocks]), "inv_depth")
+
+
+def numbers_of_blocks(factor: Factor) -> tuple[int, int]:
+    """How many blocks of cameras are differentiated with the extrinsics held, and with them free."""
+    return sum(block.name.startswith("pose") for block in factor.blocks), len(factor.blocks) - 1
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,10 @@ class NumpyRows:
     def __init__(self, index: RowIndex):
         self._index = index
         n, c = len(index.table), index.camera_columns
-        self._batch = index.factor.batch(n, active_blocks(len(index.start)), uniform=("extrinsic",))
+        factor = index.factor
+        self._held, _ = numbers_of_blocks(factor)
+        extrinsics = tuple(block.name for block in factor.blocks[self._held : -1])
+        self._batch = factor.batch(n, active_blocks(factor, len(index.start)), uniform=extrinsics)
         self._batch.data[:] = index.data
         self._source = np.empty(2 * n, np.int64)  # of each row of `packed`
         self._source[index.place.reshape(-1)] = np.arange(2 * n)
@@ -78,7 +86,7 @@ class NumpyRows:
         system, residuals, squared = self.system(states, curved)
         index, c, m = self._index, self._index.camera_columns, self._index.n_landmarks
         camera, depth, r = system[:c], system[c], system[c + 1]
-        self.packed[:, :c] = camera.reshape(c, -1).T[self._source]
+        self.packed[:, :c] = camera.reshape(c, r.size).T[self._source]
         self.packed[:, c] = r.reshape(-1)[self._source]
         landmark, width = index.table.landmark, index.width
         coupling = camera[:, 0] * depth[0] + camera[:, 1] * depth[1]
@@ -92,11 +100,13 @@ class NumpyRows:
     def system(self, states: States, curved: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """[J r] of every projection with its weight (c + 2, 2, N), a buffer; r without it (2, N); |r|^2 (N,)."""
         table, batch = self._index.table, self._batch
-        poses = np.ascontiguousarray(states.poses.T)
-        poses.take(table.anchor, 1, batch.inputs[0], "clip")
-        poses.take(table.observer, 1, batch.inputs[1], "clip")
-        batch.inputs[2][:] = states.extrinsics[table.camera]
-        states.inv_depths.take(table.landmark, 0, batch.inputs[3][0], "clip")
+        if self._held:
+            poses = np.ascontiguousarray(states.poses.T)
+            poses.take(table.anchor, 1, batch.inputs[0], "clip")
+            poses.take(table.observer, 1, batch.inputs[1], "clip")
+        for extrinsic, camera in zip(batch.inputs[self._held : -1], (table.camera, table.seen_by)):
+            extrinsic[:] = states.extrinsics[camera]
+        states.inv_depths.take(table.landmark, 0, batch.inputs[-1][0], "clip")
         system = batch.system
         with np.errstate(all="ignore"):  # a point in the camera's plane gives no finite cost, and the step is rejected
             batch.evaluate()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..factors.reprojection import FOCAL_PX
+from ..factors.reprojection import FOCAL_PX, Kind
 from ..factors.robust import Loss
 from ..geometry import so3
 from ..params import Params
@@ -19,7 +19,7 @@ from ..report import SolveReport
 from ..solver.layout import Variable
 from ..solver.problem import PriorFactor, Projections, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
-from .state import OUTLIER, Landmarks, WindowFrame, WindowState
+from .state import OUTLIER, Landmarks, Observations, WindowFrame, WindowState
 
 MIN_RAY_Z = 0.05
 """Smallest z of a unit ray that has an inverse depth along z, or a place on the normalised plane."""
@@ -34,6 +34,7 @@ class Tracks:
     slots: np.ndarray  # (O,) slot of each observation
     rays: np.ndarray  # (O, 3) unit rays
     uv_px: np.ndarray  # (O, 2) float32
+    right: np.ndarray | None = None  # (O, 3) unit rays in the second camera, NaN where it does not see the track
 
     @property
     def anchor(self) -> np.ndarray:
@@ -50,6 +51,13 @@ class Tracks:
         """(O,) track index of each observation."""
         return np.repeat(np.arange(len(self.ids)), self.count)
 
+    @property
+    def stereo(self) -> np.ndarray:
+        """(T,) bool, whether the second camera has seen a track at all: then one frame is enough for its depth."""
+        if self.right is None:
+            return np.zeros(len(self.ids), bool)
+        return np.bincount(self.track, ~np.isnan(self.right[:, 0]), len(self.ids)) > 0
+
 
 def gather_tracks(frames: tuple[WindowFrame, ...]) -> Tracks:
     """The tracks of `frames`, oldest first."""
@@ -65,7 +73,17 @@ def gather_tracks(frames: tuple[WindowFrame, ...]) -> Tracks:
         slots[order],
         np.concatenate([o.rays for o in observations])[order],
         np.concatenate([o.uv_px for o in observations])[order],
+        _right_rays(observations)[order] if any(o.right is not None for o in observations) else None,
     )
+
+
+def _right_rays(observations: list[Observations]) -> np.ndarray:
+    """(O, 3), NaN where the second camera does not see what the first one does."""
+    rays = [np.full((len(o), 3), np.nan) for o in observations]
+    for mine, o in zip(rays, observations):
+        if o.right is not None:
+            mine[np.searchsorted(o.ids, o.right.ids)] = o.right.rays
+    return np.concatenate(rays)
 
 
 @dataclass(frozen=True)
@@ -82,7 +100,8 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
     """The problem of `window`.
 
     A landmark enters when it is triangulated in front of its anchor, no outlier, seen in at least
-    `window.min_observations` frames, and anchored early enough: slot < n - 3 (REFERENCE W6: < 8 of 11).
+    `window.min_observations` frames, and anchored early enough: slot < n - 3 (REFERENCE W6: < 8 of 11).  One that a
+    second camera has seen needs no parallax between frames and may be anchored in any.
     """
     frames = window.frames
     tracks = gather_tracks(frames)
@@ -94,7 +113,7 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         usable = (table.ids[row] == tracks.ids) & (table.status[row] != OUTLIER)
         usable &= inv_depth > 0  # False for NaN
     usable &= tracks.count >= params.window.min_observations
-    usable &= tracks.anchor < len(frames) - 3
+    usable &= (tracks.anchor < len(frames) - 3) | tracks.stereo
     usable &= tracks.rays[tracks.start[:-1], 2] > MIN_RAY_Z
 
     landmark = np.cumsum(usable) - 1
@@ -122,15 +141,35 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         tuple(
             (k - 1, f.imu)
             for k, f in enumerate(frames)
-            if k > 0 and f.imu is not None and f.imu.dt_s <= params.imu.max_interval_s
+            if window.inertial and k > 0 and f.imu is not None and f.imu.dt_s <= params.imu.max_interval_s
         ),
         _place_prior(window),
         gravity_m_s2,
         params.projection.residual,
         FOCAL_PX / params.window.pixel_sigma,
         Loss(params.window.loss, params.window.loss_scale),
+        stereo=() if tracks.right is None else _stereo_projections(params, tracks, tracks.right, usable),
+        inertial=window.inertial,
     )
     return Assembly(problem, tracks, tracks.ids[usable], tracks.anchor[usable])
+
+
+def _stereo_projections(
+    params: Params, tracks: Tracks, right: np.ndarray, usable: np.ndarray
+) -> tuple[Projections, Projections]:
+    """What the second camera sees of usable tracks: in later frames, and in the frame of the anchor."""
+    landmark, is_anchor = np.cumsum(usable) - 1, np.zeros(len(tracks.slots), bool)
+    is_anchor[tracks.start[:-1]] = True
+    seen = usable[tracks.track] & ~np.isnan(right[:, 0])
+    if params.projection.residual == "plane":
+        seen &= right[:, 2] > MIN_RAY_Z  # False for NaN
+
+    def table(rows: np.ndarray, kind: Kind) -> Projections:
+        track = tracks.track[rows]
+        rays = tracks.rays[tracks.start[track]], right[rows]
+        return Projections(tracks.anchor[track], tracks.slots[rows], landmark[track], *rays, 0, 1, kind)
+
+    return table(np.flatnonzero(seen & ~is_anchor), "cross"), table(np.flatnonzero(seen & is_anchor), "same")
 
 
 def _place_prior(window: WindowState) -> PriorFactor | None:
@@ -143,11 +182,16 @@ def _place_prior(window: WindowState) -> PriorFactor | None:
 
 
 def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowState:
-    """`window` with the solved states, moved so that yaw and position of the oldest frame stay (REFERENCE O9)."""
-    states = hold_oldest(states, assembly.problem.initial.poses[0])
+    """`window` with the solved states, moved so that yaw and position of the oldest frame stay (REFERENCE O9).
+
+    Without IMU all of its pose stays, and velocities are those from frame to frame.
+    """
+    problem = assembly.problem
+    states = hold_oldest(states, problem.initial.poses[0], not problem.inertial)
+    motions = states.speed_biases if problem.inertial else _velocities(window.frames, states)
     frames = tuple(
         replace(f, p_w_b=pose[:3], q_w_b=pose[3:], v_w_b=motion[:3], b_a=motion[3:6], b_g=motion[6:])
-        for f, pose, motion in zip(window.frames, states.poses, states.speed_biases)
+        for f, pose, motion in zip(window.frames, states.poses, motions)
     )
     table = window.landmarks
     inv_depth = table.inv_depth.copy()
@@ -155,11 +199,23 @@ def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowSta
     return replace(window, frames=frames, landmarks=Landmarks(table.ids, inv_depth, table.status))
 
 
+def _velocities(frames: tuple[WindowFrame, ...], states: States) -> np.ndarray:
+    """(n, 9) speed-biases: the mean velocity since the frame before, that of the oldest as it was, and no biases."""
+    motions = np.zeros_like(states.speed_biases)
+    dt_s = np.diff([f.t_ns for f in frames])[:, None] * 1e-9
+    motions[0, :3], motions[1:, :3] = frames[0].v_w_b, np.diff(states.poses[: len(frames), :3], axis=0) / dt_s
+    return motions
+
+
 def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
     """Costs, iterations, and what each factor of the window's own frames says at the solution."""
     problem, residuals = assembly.problem, solution.system.residuals
-    own = problem.projections.observer < problem.n_frames  # the others see it from places (relocalize.py)
-    table = problem.projections[own]
+    tables = (problem.projections, *problem.stereo)
+    landmark, anchor, observer = (
+        np.concatenate([getattr(table, name) for table in tables]) for name in ("landmark", "anchor", "observer")
+    )
+    camera = np.repeat([table.seen_by for table in tables], [len(table) for table in tables]).astype(np.uint8)
+    own = observer < problem.n_frames  # the others see it from places (relocalize.py)
     sigma = np.full((problem.n_frames - 1, 5), np.nan)
     sigma[[k for k, _ in problem.imu]] = np.linalg.norm(residuals.imu.reshape(-1, 5, 3), axis=2)
     return SolveReport(
@@ -168,10 +224,11 @@ def solve_report(assembly: Assembly, solution: Solution) -> SolveReport:
         iterations=solution.iterations,
         termination=solution.termination,
         n_landmarks=problem.n_landmarks,
-        visual_ids=assembly.ids[table.landmark],
-        visual_slots=np.stack([table.anchor, table.observer], 1).astype(np.uint8),
+        visual_ids=assembly.ids[landmark[own]],
+        visual_slots=np.stack([anchor[own], observer[own]], 1).astype(np.uint8),
         visual_error_px=(np.hypot(*residuals.visual[:, own]) * (FOCAL_PX / problem.sqrt_info)).astype(np.float32),
         imu_sigma=sigma,
+        visual_camera=camera[own] if problem.stereo else camera[:0],
     )
 
 

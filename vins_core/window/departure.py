@@ -15,7 +15,7 @@ from ..solver.inertial_term import InertialTerm
 from ..solver.layout import Layout, Variable
 from ..solver.linearize import Linearizer, NormalEquations, Residuals
 from ..solver.prior_term import PriorTerm
-from ..solver.problem import States, WindowProblem
+from ..solver.problem import Projections, States, WindowProblem
 from ..solver.visual_rows import NumpyRows
 from ..solver.visual_term import VisualTerm
 from .assemble import assemble
@@ -45,7 +45,8 @@ class Departure:
 
     @cached_property
     def layout(self) -> Layout:
-        return Layout(self.problem.n_frames, len(self.problem.initial.extrinsics))
+        problem = self.problem
+        return Layout(problem.n_frames, len(problem.initial.extrinsics), inertial=problem.inertial)
 
     @cached_property
     def touched(self) -> tuple[Variable, ...]:
@@ -54,10 +55,9 @@ class Departure:
         touched = set(problem.prior.blocks) if problem.prior else set()
         for k, _ in problem.imu:
             touched |= {Variable(kind, slot) for kind in ("pose", "speed_bias") for slot in (k, k + 1)}
-        table = problem.projections
-        if len(table):
+        for table in problem.tables:
             touched |= {Variable("pose", int(slot)) for slot in np.union1d(table.anchor, table.observer)}
-            touched.add(Variable("extrinsic", table.camera))
+            touched |= {Variable("extrinsic", camera) for camera in (table.camera, table.seen_by)}
         order = ("pose", "speed_bias", "extrinsic")
         return tuple(sorted(touched, key=lambda block: (order.index(block.kind), block.slot)))
 
@@ -91,7 +91,8 @@ class Departure:
         n, P = len(at.poses), self.layout.visual
         d[: 6 * n] = difference_poses(states.poses, at.poses).ravel()
         d[6 * n : P] = difference_poses(states.extrinsics, at.extrinsics).ravel()
-        d[P:] = (states.speed_biases - at.speed_biases).ravel()
+        if self.layout.inertial:
+            d[P:] = (states.speed_biases - at.speed_biases).ravel()
         return d
 
     def square_roots(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -112,7 +113,7 @@ class Departure:
     def projections(self) -> NormalEquations | None:
         """All projections; None when there are none."""
         problem = replace(self.problem, imu=(), prior=None)
-        if not len(problem.projections):
+        if not problem.tables:
             return None
         if self.at is problem.initial:
             return Linearizer(problem).linearize(problem.initial)
@@ -120,25 +121,29 @@ class Departure:
 
     def _projections_at_first_estimates(self, problem: WindowProblem) -> NormalEquations:
         """J at `at`, robust weights and residuals at the current states; dense, because it is rarely asked for."""
-        term, P, M = VisualTerm(problem, self.layout), self.layout.visual, problem.n_landmarks
-        rows = NumpyRows(term.index)
-        now, unweighted, _ = (a.copy() for a in rows.system(problem.initial))
-        first, _, squared = rows.system(self.at)
-        weight = problem.loss.weight((unweighted**2).sum(0)) / problem.loss.weight(squared)
-        J = (first[:-1] * weight).transpose(1, 2, 0)  # (2, N, c + 1), the last column is the inverse depth
-        columns = np.broadcast_to(term.columns[term.pair], (2, *term.columns[term.pair].shape))
-        camera, depth = np.zeros((*J.shape[:2], P)), J[:, :, -1:]
-        np.put_along_axis(camera, columns, J[:, :, :-1], 2)
-        r = now[-1] - camera @ self._moved[:P]
+        P, M, size = self.layout.visual, problem.n_landmarks, self.layout.size
+        H, g, (W, h, g_l), residuals = np.zeros((size, size)), np.zeros(size), _zeros(M, P), []
+        for table in problem.tables:
+            term = VisualTerm(problem, self.layout, table)
+            rows = NumpyRows(term.index)
+            now, unweighted, _ = (a.copy() for a in rows.system(problem.initial))
+            first, _, squared = rows.system(self.at)
+            weight = problem.loss.weight((unweighted**2).sum(0)) / problem.loss.weight(squared)
+            J = (first[:-1] * weight).transpose(1, 2, 0)  # (2, N, c + 1), the last column is the inverse depth
+            columns = np.broadcast_to(term.columns[term.pair], (2, *term.columns[term.pair].shape))
+            camera, depth = np.zeros((*J.shape[:2], P)), J[:, :, -1:]
+            np.put_along_axis(camera, columns, J[:, :, :-1], 2)
+            r = now[-1] - camera @ self._moved[:P]
 
-        H, g, W, h, g_l = np.zeros((self.layout.size,) * 2), np.zeros(self.layout.size), *_zeros(M, P)
-        flat = camera.reshape(-1, P)
-        H[:P, :P], g[:P] = flat.T @ flat, r.reshape(-1) @ flat
-        landmark = np.broadcast_to(term.index.table.landmark, r.shape)
-        np.add.at(W, landmark, depth * camera)
-        np.add.at(h, landmark, depth[:, :, 0] ** 2)
-        np.add.at(g_l, landmark, depth[:, :, 0] * r)
-        nothing = Residuals(unweighted, np.zeros((0, 15)), np.zeros(0))
+            flat = camera.reshape(-1, P)
+            H[:P, :P] += flat.T @ flat
+            g[:P] += r.reshape(-1) @ flat
+            landmark = np.broadcast_to(term.index.table.landmark, r.shape)
+            np.add.at(W, landmark, depth * camera)
+            np.add.at(h, landmark, depth[:, :, 0] ** 2)
+            np.add.at(g_l, landmark, depth[:, :, 0] * r)
+            residuals.append(unweighted)
+        nothing = Residuals(np.concatenate(residuals, 1), np.zeros((0, 15)), np.zeros(0))
         return NormalEquations(CostSplit(), H, g, W, h, g_l, nothing)
 
     def blocks(self) -> tuple[BlockReport, ...]:
@@ -166,11 +171,16 @@ def oldest_leaves(params: Params, window: WindowState, gravity_m_s2: float) -> D
     assembly = assemble(params, window, gravity_m_s2)
     problem = assembly.problem
     leaving = assembly.anchor == 0
-    table = problem.projections[leaving[problem.projections.landmark]]
+
+    def of_leaving(table: Projections) -> Projections:
+        table = table[leaving[table.landmark]]
+        return replace(table, landmark=(np.cumsum(leaving) - 1)[table.landmark])
+
     part = replace(
         problem,
         initial=replace(problem.initial, inv_depths=problem.initial.inv_depths[leaving]),
-        projections=replace(table, landmark=(np.cumsum(leaving) - 1)[table.landmark]),
+        projections=of_leaving(problem.projections),
+        stereo=tuple(of_leaving(table) for table in problem.stereo),
         imu=tuple((k, m) for k, m in problem.imu if k == 0),
         free_extrinsics=True,
     )
@@ -191,6 +201,7 @@ def second_newest_leaves(params: Params, window: WindowState, gravity_m_s2: floa
         problem,
         initial=replace(problem.initial, inv_depths=np.zeros(0)),
         projections=problem.projections[:0],
+        stereo=(),
         imu=(),
         free_extrinsics=True,
     )

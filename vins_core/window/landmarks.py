@@ -13,27 +13,43 @@ from ..report import LandmarkReport, LossReason, SolveReport
 from .assemble import Assembly, Tracks, gather_tracks
 from .state import CANDIDATE, MARGINALIZED, OUTLIER, TRIANGULATED, Landmarks, WindowState
 
+FAR_M = 1000.0
+"""Depth of what a pair of cameras sees beyond infinity, as noise makes it."""
+
 
 def triangulate(params: Window, window: WindowState) -> WindowState:
-    """Give every landmark without depth one, from all its observations and the current poses (REFERENCE W8).
+    """Give every landmark without depth one, from all its observations and the current poses (REFERENCE W8, W9).
 
-    Depths below `min_depth`, as too little parallax produces them, are replaced by `init_depth`.
+    Depths below `min_depth`, as too little parallax produces them, are replaced by `init_depth`.  Landmarks that a
+    second camera sees get theirs in their first frame; where it finds their rays diverging, they are `FAR_M` away.
     """
     tracks, table = gather_tracks(window.frames), window.landmarks
     row = np.searchsorted(table.ids, tracks.ids)
     ready = (tracks.count >= params.min_observations) & (tracks.anchor < len(window.frames) - 3)
+    ready |= (stereo := tracks.stereo)
     new = np.flatnonzero(ready & np.isnan(table.inv_depth[row]) & (table.status[row] != OUTLIER))
     if not len(new):
         return window
     renumber = np.full(len(tracks.ids), -1)
     renumber[new] = np.arange(len(new))
     mine = renumber[tracks.track] >= 0
-    depth = triangulate_tracks(
-        camera_poses(window), renumber[tracks.track[mine]], tracks.slots[mine], tracks.rays[mine], tracks.anchor[new]
+    cameras, track, slots, rays = (
+        camera_poses(window),
+        renumber[tracks.track[mine]],
+        tracks.slots[mine],
+        tracks.rays[mine],
     )
+    if tracks.right is not None:
+        right = tracks.right[mine]
+        seen = ~np.isnan(right[:, 0])
+        cameras = np.concatenate([cameras, camera_poses(window, 1)])
+        track, slots = np.append(track, track[seen]), np.append(slots, slots[seen] + len(window.frames))
+        rays = np.concatenate([rays, right[seen]])
+    depth = triangulate_tracks(cameras, track, slots, rays, tracks.anchor[new])
     usable = np.isfinite(depth) & (depth >= params.min_depth)
+    otherwise = np.where(stereo[new] & ~(np.abs(depth) < params.min_depth), FAR_M, params.init_depth)
     inv_depth, status = table.inv_depth.copy(), table.status.copy()
-    inv_depth[row[new]] = 1.0 / np.where(usable, depth, params.init_depth)
+    inv_depth[row[new]] = 1.0 / np.where(usable, depth, otherwise)
     status[row[new]] = TRIANGULATED
     return replace(window, landmarks=Landmarks(table.ids, inv_depth, status))
 

@@ -98,7 +98,7 @@ def relocalization_reports(
     before_px, after_px = _errors_px(problem, solution) if posed else np.zeros((2, 0))
     pairs = [(place.slot, place.query) for place in posed if place.slot is not None]
     covariances = dict(zip(pairs, relative_poses(problem, solution.states, pairs)))
-    held = hold_oldest(solution.states, problem.initial.poses[0])
+    held = hold_oldest(solution.states, problem.initial.poses[0], not problem.inertial)
     T_w_b = se3.from_quaternion_translation(held.poses[:, 3:], held.poses[:, :3])
     reports = []
     for place in places:
@@ -127,10 +127,10 @@ def relocalization_reports(
 def _errors_px(problem: WindowProblem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Of every projection (N,) before and after the solve, px460; before it only where places see something."""
     scale, seen = FOCAL_PX / problem.sqrt_info, problem.projections.observer >= problem.n_frames
-    alone = replace(problem, projections=problem.projections[seen], imu=(), prior=None)
+    alone = replace(problem, projections=problem.projections[seen], stereo=(), imu=(), prior=None)
     before = np.full(len(seen), np.nan)
     before[seen] = np.hypot(*Linearizer(alone).linearize(problem.initial).residuals.visual)
-    return scale * before, scale * np.hypot(*solution.system.residuals.visual)
+    return scale * before, scale * np.hypot(*solution.system.residuals.visual[:, : len(seen)])
 
 
 def _mounting(request: RelocalisationRequest, states: States) -> np.ndarray:

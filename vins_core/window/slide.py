@@ -39,8 +39,9 @@ def drop_oldest(window: WindowState) -> WindowState:
 
 def drop_second_newest(window: WindowState, noise: ImuNoise) -> WindowState:
     *rest, second, newest = window.frames
-    assert second.imu is not None and newest.imu is not None
-    newest = replace(newest, imu=merge(second.imu, newest.imu, noise))
+    if window.inertial:
+        assert second.imu is not None and newest.imu is not None
+        newest = replace(newest, imu=merge(second.imu, newest.imu, noise))
     frames = (*rest, newest)
     table = window.landmarks
     started_here = np.isin(table.ids, second.observations.ids, assume_unique=True)

@@ -33,9 +33,16 @@ class Observations:
     rays: np.ndarray  # (n, 3) float64, unit rays in the camera frame
     uv_px: np.ndarray  # (n, 2) float32
     velocity: np.ndarray  # (n, 2) float32, d(x/z, y/z)/dt, 1/s
+    right: Observations | None = None
+    """Those of these tracks that the second camera sees as well, in its image and its frame; None without one."""
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def among(self, ids: np.ndarray) -> Observations:
+        """Those of the tracks `ids`, without what the second camera sees."""
+        rows = np.isin(self.ids, ids)
+        return Observations(self.ids[rows], self.rays[rows], self.uv_px[rows], self.velocity[rows])
 
 
 @dataclass(frozen=True)
@@ -103,3 +110,5 @@ class WindowState:
     landmarks: Landmarks
     prior: Prior | None
     T_b_c: np.ndarray  # (cameras, 4, 4)
+    inertial: bool = True
+    """Whether there is an IMU; without, the world hangs on the oldest frame, and velocities and biases mean nothing."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+import synthetic_stereo as ss
 import synthetic_window as sw
 from same import differences
 from sample import CALIBRATION, RECORDING
@@ -112,6 +113,21 @@ def test_any_number_of_projections_is_evaluated(compiled: Backend, n: int) -> No
 
 
 @needs_compiler
+@pytest.mark.parametrize("inertial", [True, False])
+@pytest.mark.parametrize("free_extrinsics", [False, True])
+@pytest.mark.parametrize("form", ["plane", "sphere"])
+def test_two_cameras_have_the_bits_of_numpy(
+    compiled: Backend, form: str, free_extrinsics: bool, inertial: bool
+) -> None:
+    params = settings.replace(Params(), {"projection.residual": form})
+    window = ss.make(n_frames=7, n_tracks=60).window
+    p = assemble(params, window if inertial else ss.without_imu(window), sw.GRAVITY).problem
+    p = replace(p, free_extrinsics=free_extrinsics)
+    assert [table.kind for table in p.tables] == ["mono", "cross", "same"]
+    assert differences(linearize(compiled, p), linearize(choose("numpy"), p)) == []
+
+
+@needs_compiler
 def test_a_place_seen_again_has_the_bits_of_numpy(compiled: Backend) -> None:
     """One more pose after those of the frames, which sees what the newest frame sees."""
     p = problem()
@@ -183,7 +199,7 @@ def test_states_of_another_window_are_refused(compiled: Backend) -> None:
         replace(p.initial, inv_depths=p.initial.inv_depths[:-1]),
     ):
         with pytest.raises(ValueError, match="indexed"), using(compiled):
-            Linearizer(p).visual._rows.evaluate(states)  # type: ignore[union-attr]
+            Linearizer(p).visual[0]._rows.evaluate(states)
 
 
 # -- what is not used ------------------------------------------------------------------------------------------------
