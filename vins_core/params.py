@@ -78,6 +78,12 @@ class Frontend:
     min_flow_back_share: Annotated[float, Range(0, 1), Doc("found tracks that flow-back should keep (advisory)")] = 0.8
     min_inlier_share: Annotated[float, Range(0, 1), Doc("tracks that F-RANSAC should keep (advisory)")] = 0.7
     min_tracks: Annotated[int, Range(0, 500), Doc("tracks a frame should have (advisory)")] = 50
+    stereo_epipolar_px: Annotated[
+        float,
+        Range(0.1, 1000),
+        Doc("largest distance of a match in the second camera to its epipolar line (parity: 1000)", "px460"),
+    ] = 2.0
+    min_stereo_share: Annotated[float, Range(0, 1), Doc("tracks the second camera should see as well (advisory)")] = 0.4
 
 
 @dataclass(frozen=True)

@@ -70,9 +70,9 @@ class TrackLedger:
     def count_lost(self, reason: LossReason) -> int:
         return sum(int((fate == FATES[reason]).sum()) for *_, fate in self._lost)
 
-    def state_at_frame(self) -> TrackerState:
+    def state_at_frame(self, right: Observations | None = None) -> TrackerState:
         """The state a frame leaves: the next frame's F-RANSAC compares with where the tracks are now."""
-        return TrackerState(self.image, self.ids, self.uv_px, self.rays, self.age, self.uv_px, self.next_id)
+        return TrackerState(self.image, self.ids, self.uv_px, self.rays, self.age, self.uv_px, self.next_id, right)
 
     def observations(self, min_age: int) -> Observations:
         seen = self.age >= min_age

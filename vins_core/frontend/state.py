@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..sensors import ImageRef
+from ..window.state import Observations
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class TrackerState:
         np.ndarray
     )  # (n, 2) float32, position in the last *frame* (what F-RANSAC compares with); NaN if born after it
     next_id: int
+    right: Observations | None = None  # what the second camera saw at the last frame; None without one
 
     @staticmethod
     def empty() -> TrackerState:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from .ledger import FATES, KEPT, TrackLedger
 from .predict import turn_between, turn_pixels
 from .reject import epipolar_inliers
 from .state import TrackerState
+from .stereo import match
 from .track import follow
 
 
@@ -26,12 +28,14 @@ def track(
     state: TrackerState,
     packet: Packet,
     rejected: Mapping[LossReason, Collection[int]] | None = None,
+    right: CameraCalibration | None = None,
 ) -> tuple[TrackerState, Observations, TrackReport]:
     """Carry the tracks through the images of a packet; the last image is the frame the estimator gets.
 
     Tracks in `rejected`, by what the estimator found wrong with them, are dropped (REFERENCE TF8).  A gap longer than
     `max_gap_s`, or time that does not advance, drops every track and fails the deciding gate "image interval"; ids are
-    never given twice.  Raises CalibrationError when image or mask do not have the camera's size.
+    never given twice.  With a second camera, `right`, the tracks of the frame are looked for in its image as well
+    (stereo.py).  Raises CalibrationError when image or mask do not have the camera's size.
     """
     usable = usable_area(camera)
     tracks = TrackLedger(state)
@@ -42,14 +46,26 @@ def track(
         gates.append(_reject(params, camera, tracks))
     tracks.drop(~keep_spaced(tracks.uv_px, params.min_dist, usable), LossReason.MASK)
     n_old = len(tracks)
-    frame = equalized(images, packet.images[-1], params)
+    frame = equalized(images, packet.image, params)
     corners_px = detect_corners(frame, params.max_cnt - n_old, tracks.uv_px, params, usable)
     tracks.add(corners_px, camera.model.lift(corners_px))
     gates.append(Gate("tracks", len(tracks), ">=", params.min_tracks, "frontend.min_tracks", decides=False))
+    observations = tracks.observations(params.min_track_count)
     report = TrackReport(
         tracks.ids, tracks.uv_px, tracks.age, tracks.velocity, *tracks.lost(), len(tracks) - n_old, tuple(gates)
     )
-    return tracks.state_at_frame(), tracks.observations(params.min_track_count), report
+    if right is None:
+        return tracks.state_at_frame(), observations, report
+    matches = match(params, (camera, right), images, tracks, state, packet.pairs[-1])
+    seen = matches.observations(tracks.ids)
+    observations = replace(observations, right=seen.among(observations.ids))
+    report = replace(
+        report,
+        gates=(*report.gates, matches.gate(params)),
+        right_uv_px=matches.reported_px(),
+        right_loss=matches.fate,
+    )
+    return tracks.state_at_frame(seen), observations, report
 
 
 def _follow_images(
@@ -57,7 +73,7 @@ def _follow_images(
 ) -> list[Gate]:
     """Move the tracks from image to image, or start over where time makes that impossible."""
     n, intervals_s = len(tracks), []
-    for ref in packet.images:
+    for ref, _ in packet.pairs:
         check_size(equalized(images, ref, params), camera, ref)
         if tracks.image is not None:
             dt_s = (ref.t_ns - tracks.image.t_ns) * 1e-9

@@ -32,7 +32,7 @@ def follow(
         ways.insert(0 if params.predict == "always" else 1, (params.predict_levels, guess_px))
     best, most = (uv_px, np.full(len(uv_px), FATES[LossReason.FLOW])), -1
     for levels, start_px in ways:
-        attempt = _there_and_back(previous, current, uv_px, params, levels, start_px)
+        attempt = there_and_back(previous, current, uv_px, params, levels, start_px)
         kept = int((attempt[1] == KEPT).sum())
         if kept > most:
             best, most = attempt, kept
@@ -41,9 +41,10 @@ def follow(
     return best
 
 
-def _there_and_back(
+def there_and_back(
     previous: np.ndarray, current: np.ndarray, uv_px: np.ndarray, params: Frontend, levels: int, guess_px: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Flow from a guess over so many levels, and back; results as of `follow`."""
     found_px, found = _lucas_kanade(previous, current, uv_px, params, levels, guess_px)
     fate = np.full(len(uv_px), KEPT, np.uint8)
     fate[~found] = FATES[LossReason.FLOW]
