@@ -10,14 +10,26 @@ from .clock import stopwatch
 from .factors.preintegration import preintegrate
 from .frontend.state import TrackerState
 from .frontend.step import track
+from .initialization import stereo
 from .initialization.step import initialize
 from .mapping import closure as mapping
 from .mapping.closure import Closure
 from .mapping.places import Places
 from .params import Params
-from .report import FrameReport, KeyframeReport, LossReason, PoseEstimate, Status, Timings, TrackReport
+from .report import (
+    FrameReport,
+    Gate,
+    InitReport,
+    KeyframeReport,
+    LossReason,
+    PoseEstimate,
+    Status,
+    Timings,
+    TrackReport,
+)
 from .sensors import Calibration, ImageSource, Packet
 from .window.keyframe import decide
+from .window.locate import locate
 from .window.marginalize import marginalize_oldest
 from .window.propagate import continue_from, predict
 from .window.slide import drop_oldest, drop_second_newest, restrict
@@ -74,6 +86,7 @@ def step(
             state.tracker,
             packet,
             {LossReason.OUTLIER: state.rejected_ids, LossReason.DEPTH: state.behind_ids},
+            calibration.cameras[1] if len(calibration.cameras) > 1 else None,
         )
     state, report, ms = advance(params, calibration, state, packet, tracked, ms)
     if places is not None and params.loop.enabled and report.status is Status.TRACKING:
@@ -100,7 +113,9 @@ def advance(
     if not arrived.ready:
         return state, report, ms
     requests = state.closure.requests if state.closure and params.loop.enabled else ()
-    result = estimate(params, arrived.calibration, state.window, arrived.keyframe, arrived.previous, ms, requests)
+    result = estimate(
+        params, arrived.calibration, state.window, arrived.keyframe, arrived.previous, ms, requests, arrived.gates
+    )
     report = result.explain(report)
     if result.window is None:
         state = _restart(calibration, state, arrived.previous)
@@ -119,7 +134,8 @@ class Arrival:
     calibration: Calibration  # with the noise that `params.imu` makes of it
     keyframe: KeyframeReport
     previous: PoseEstimate | None  # the estimate of the frame before; None right after an initialisation
-    ready: bool  # the window is full and initialised: its turn (window/step.py) comes next
+    ready: bool  # the window is initialised: its turn (window/step.py) comes next
+    gates: tuple[Gate, ...] = ()  # on which its health depends, too
 
 
 def receive(
@@ -138,6 +154,11 @@ def receive(
     previous = pose_of(state.window.frames[-1]) if tracking else None
     with stopwatch(ms, "preintegrate"):
         state = _arrive(calibration, state, packet, observations)
+    gates: tuple[Gate, ...] = ()
+    if tracking and not state.window.inertial:
+        with stopwatch(ms, "locate"):
+            window, located = locate(params, state.window)
+        state, gates = replace(state, window=window), (located,)
     R_b_c = state.window.T_b_c[0][:3, :3]
     keyframe = decide(params.window, state.window.frames, R_b_c, gyro_is_calibrated=tracking)
     state = _remember_decision(state, keyframe.is_keyframe)
@@ -152,7 +173,8 @@ def receive(
         tracks=tracks,
         keyframe=keyframe,
     )
-    if len(state.window.frames) <= params.window.size and not tracking:
+    enough = params.window.size + 1 if state.window.inertial else 1
+    if len(state.window.frames) < enough and not tracking:
         return Arrival(replace(state, status=Status.FILLING), report, calibration, keyframe, previous, False)
     if not tracking:
         with stopwatch(ms, "initialize"):
@@ -160,7 +182,7 @@ def receive(
         if state.status is not Status.TRACKING:
             state = _forget(calibration, state, keyframe.is_keyframe)
             return Arrival(state, report, calibration, keyframe, previous, False)
-    return Arrival(state, report, calibration, keyframe, previous, True)
+    return Arrival(state, report, calibration, keyframe, previous, True, gates)
 
 
 def _effective_noise(params: Params, calibration: Calibration) -> Calibration:
@@ -179,19 +201,20 @@ def _effective_noise(params: Params, calibration: Calibration) -> Calibration:
 
 
 def _empty_window(calibration: Calibration) -> WindowState:
-    return WindowState((), Landmarks.empty(), None, np.array([c.T_b_c for c in calibration.cameras]))
+    T_b_c = np.array([c.T_b_c for c in calibration.cameras])
+    return WindowState((), Landmarks.empty(), None, T_b_c, calibration.has_imu)
 
 
 def _arrive(calibration: Calibration, state: RunState, packet: Packet, observations: Observations) -> RunState:
     """Append the new frame, with the motion since the previous one and, once tracking, a predicted state.
 
-    A window starts with the first frame that has tracks to offer.
+    A window starts with the first frame that has tracks to offer.  Without IMU nothing is known of the motion here.
     """
     if not state.window.frames and not len(observations):
         return state
     zero, identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
     newest = WindowFrame(packet.frame, packet.t_ns, False, observations, None, zero, identity, zero, zero, zero)
-    if state.window.frames:
+    if state.window.frames and state.window.inertial:
         last = state.window.frames[-1]
         imu = preintegrate(packet.imu, last.b_a, last.b_g, calibration.noise)
         newest = replace(newest, imu=imu, b_a=last.b_a, b_g=last.b_g)
@@ -218,13 +241,21 @@ def _initialize(
     last = state.last_attempt_ns
     if last is not None and report.t_ns - last < params.init.retry_s * 1e9:
         return state, report
-    window, attempt = initialize(params, calibration, state.window, state.history)
+    window, attempt = _attempt(params, calibration, state)
     state, report = replace(state, last_attempt_ns=report.t_ns), replace(report, initialization=attempt)
     if window is None:
         return state, report
     if state.resume is not None:
         window = continue_from(window, state.resume)
     return replace(state, window=window, status=Status.TRACKING, history=(), resume=None), report
+
+
+def _attempt(params: Params, calibration: Calibration, state: RunState) -> tuple[WindowState | None, InitReport]:
+    if not calibration.has_imu:
+        return stereo.begin(params, state.window)
+    if len(calibration.cameras) > 1:
+        return stereo.initialize(params, calibration, state.window)
+    return initialize(params, calibration, state.window, state.history)
 
 
 def _shrink(params: Params, calibration: Calibration, state: RunState) -> RunState:
@@ -239,7 +270,9 @@ def _shrink(params: Params, calibration: Calibration, state: RunState) -> RunSta
 
 
 def _forget(calibration: Calibration, state: RunState, is_keyframe: bool) -> RunState:
-    """Slide without estimates: the oldest frame is dropped, or the one before the newest."""
+    """Slide without estimates: the oldest frame is dropped, or the one before the newest; without IMU, the only one."""
+    if not state.window.inertial:
+        return replace(state, window=_empty_window(calibration), history=())
     window = drop_oldest(state.window) if is_keyframe else drop_second_newest(state.window, calibration.noise)
     first, *rest = (f for f in state.history if f.frame >= window.frames[0].frame)
     return replace(state, window=window, history=(replace(first, imu=None), *rest))

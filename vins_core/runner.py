@@ -11,6 +11,7 @@ from . import params as parameters
 from .errors import ParameterError
 from .io import modes
 from .io.calibration import read_calibration
+from .io.modes import Mode
 from .io.params_yaml import read_params
 from .io.recording import Recording, open_recording
 from .io.sync import packets
@@ -22,7 +23,7 @@ from .process import prepare
 from .record.header import RunHeader
 from .record.recording import RunWriter
 from .record.replay import Progress, Result, estimate
-from .sensors import CameraCalibration
+from .sensors import Calibration
 from .solver import backend as backends
 from .solver.backend import Wish
 
@@ -45,6 +46,7 @@ def run_recording(
     vocabulary: PathLike | None = None,
     brief_pattern: PathLike | None = None,
     map_folder: PathLike | None = None,
+    mode: Mode | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> Result:
@@ -54,8 +56,9 @@ def run_recording(
     tuning keys of the calibration files.  `start_s` and `duration_s` count from the first image.  `backend`: which
     code evaluates the factors, with the same results (solver/backend.py).  `vocabulary`: what places are recognised by,
     a DBoW2 file (with the pattern of its BRIEF descriptors, where it has such), by default trained on the recording's
-    own images.  `map_folder`: a map that the run begins with, and whose vocabulary it uses.  `cancelled` is asked after
-    each frame.  However it ends, what was written can be read.
+    own images.  `map_folder`: a map that the run begins with, and whose vocabulary it uses.  `mode`: which sensors are
+    used (io/modes.py), by default most of what is there.  `cancelled` is asked after each frame.  However it ends, what
+    was written can be read.
     Raises VinspectError, before `out` is touched when the input is at fault.
     """
     prepare()
@@ -66,13 +69,15 @@ def run_recording(
     with open_recording(recording) as source:
         given = read_calibration(calib, source)
         params, origins = choose_parameters(given.overrides, assignments, from_file)
-        calibration, unused = modes.prepare(given.calibration)
+        mode = modes.choose(source, given.calibration, mode)
+        calibration, unused = modes.prepare(given.calibration, mode)
         arriving = packets(source, calibration, params, start_s, duration_s)
         first = next(arriving)  # what is wrong with the recording is told before a folder is made
-        places = _places(params, given.calibration.cameras[0], source, vocabulary, brief_pattern, map_folder)
+        places = _places(params, calibration, source, vocabulary, brief_pattern, map_folder)
         header = RunHeader(
             params,
             calibration,
+            mode=mode,
             origins=origins,
             recording=str(Path(recording).resolve()),
             recording_kind=source.kind,
@@ -86,22 +91,23 @@ def run_recording(
         )
         with backends.using(chosen), RunWriter(out, header, source.truth(), source, places) as writer:
             arriving = itertools.chain([first], arriving)
-            state = start(given.calibration, places)
+            state = start(calibration, places)
             return estimate(writer, header, source, state, arriving, progress, cancelled, places=places)
 
 
 def _places(
     params: Params,
-    camera: CameraCalibration,
+    calibration: Calibration,
     source: Recording,
     vocabulary: PathLike | None,
     brief_pattern: PathLike | None,
     map_folder: PathLike | None,
 ) -> Places | None:
-    if not params.loop.enabled:
+    if not params.loop.enabled or not calibration.has_imu:  # without gravity, poses cannot be told from each other
         if map_folder is not None or vocabulary is not None:
             raise ParameterError("a map or a vocabulary serves loops, which are off; leave them out, or --loops on")
         return None
+    camera = calibration.cameras[0]
     if map_folder is not None:
         if vocabulary is not None:
             raise ParameterError("a map brings its own vocabulary; give either --map or --vocabulary")
@@ -137,7 +143,8 @@ def choose_parameters(
 def _topics(source: Recording) -> dict[str, str]:
     named = {f"cam{i}": topic for i, topic in enumerate(source.image_topics)}
     truth = source.truth_topic
-    return named | {"imu": source.imu_topic} | ({"truth": truth} if truth else {})
+    imu = {"imu": source.imu_topic} if source.choice.has_imu else {}
+    return named | imu | ({"truth": truth} if truth else {})
 
 
 def _expect_frames(source: Recording, params: Params, start_s: float, duration_s: float | None) -> int | None:

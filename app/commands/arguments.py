@@ -61,6 +61,10 @@ ParamsFile = Annotated[
     ),
 ]
 Loops = Annotated[Literal["on", "off"] | None, arg(help="close loops; on by default, like --set loop.enabled=...")]
+ModeWish = Annotated[
+    Literal["mono_imu", "stereo_imu", "stereo"] | None,
+    arg(help="which sensors to use; by default most of what recording and calibration offer (`vinspect info` lists)"),
+]
 Trajectory = Annotated[
     Literal["odometry", "optimized"],
     arg(help="every frame as the odometry had it, or the keyframes with all loops closed"),

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
-from .arguments import BackendWish, Calibrations, Loops, ParamsFile, Recording, Settings
+from .arguments import BackendWish, Calibrations, Loops, ModeWish, ParamsFile, Recording, Settings
 from .console import note, progress_bar
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ def run(
     /,
     out: Annotated[Path, arg(metavar="RUN", help="folder for the run; must not exist or be empty")],
     calib: Calibrations = (),
+    mode: ModeWish = None,
     start: Annotated[float, arg(metavar="S", help="seconds after the first image")] = 0.0,
     duration: Annotated[float | None, arg(metavar="S", help="seconds from there on; to the end by default")] = None,
     embed_images: Annotated[bool, arg(help="store the images in the run, for sharing it")] = False,
@@ -58,6 +59,7 @@ def run(
                 vocabulary=vocabulary,
                 brief_pattern=brief_pattern,
                 map_folder=map,
+                mode=mode,
                 progress=progress,
             )
         except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""Accuracy over variants of a recording: `python tests/benchmarks/accuracy.py RECORDING [--calib FILE] [--set k=v]`.
+"""Accuracy over variants of a recording: `python tests/benchmarks/accuracy.py RECORDING [--calib FILE] [--mode MODE]`.
 
 One run is a lottery (a change of one corner changes everything after it), so a system is judged by the median and
 the worst of variants: more and fewer tracks, a different spacing, other start times.
@@ -24,7 +24,7 @@ VARIANTS: tuple[tuple[str, dict[str, float], float], ...] = (
 )
 
 
-def run(recording: Path, calib: list[Path], changes: dict, start_s: float, duration_s: float | None) -> dict:
+def run(recording: Path, calib: list[Path], mode: str, changes: dict, start_s: float, duration_s: float | None) -> dict:
     """One headless run without a record; the metrics of `vinspect eval`, poses and milliseconds per frame."""
     from vins_core import params as P
     from vins_core import pipeline
@@ -39,7 +39,7 @@ def run(recording: Path, calib: list[Path], changes: dict, start_s: float, durat
     prepare()
     with open_recording(recording) as probe:
         settings = read_calibration(calib, probe)
-    calibration, _ = modes.prepare(settings.calibration)
+    calibration, _ = modes.prepare(settings.calibration, mode)
     source = open_recording(recording, calibration)
     params = P.replace(P.replace(P.Params(), settings.overrides), changes)
     state = pipeline.start(calibration)
@@ -65,6 +65,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording", type=Path)
     parser.add_argument("--calib", type=Path, action="append", default=[])
+    parser.add_argument("--mode", default="mono_imu", choices=("mono_imu", "stereo_imu", "stereo"))
     parser.add_argument("--set", action="append", default=[], metavar="section.name=value")
     parser.add_argument("--start", type=float, action="append", default=[], help="further start times, s")
     parser.add_argument("--only", type=int, help="only the first N variants")
@@ -75,7 +76,7 @@ def main() -> None:
     variants = [*VARIANTS, *((f"start {s} s", {}, s) for s in args.start)][: args.only]
     with ProcessPoolExecutor(args.jobs) as pool:
         jobs = [
-            pool.submit(run, args.recording, args.calib, {**base, **changes}, start, args.duration)
+            pool.submit(run, args.recording, args.calib, args.mode, {**base, **changes}, start, args.duration)
             for _, changes, start in variants
         ]
         print(

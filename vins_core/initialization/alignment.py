@@ -40,13 +40,14 @@ def align(
     R_l_b: np.ndarray,
     imu: Sequence[Preintegration],
     p_b_c: np.ndarray,
+    scale: float | None = None,
 ) -> tuple[Alignment, InitStage]:
-    """N8: velocities, gravity (3) and scale by least squares.
+    """N8: velocities, gravity (3) and scale, unless it is known, by least squares.
 
     p_l_c (K, 3), R_l_b (K, 3, 3); `imu[k]` integrates from frame k to k + 1.  That gravity, solved for freely, comes
     out near its known size is the first sign that structure and IMU fit together.
     """
-    solved = _solve(p_l_c, R_l_b, imu, p_b_c, np.zeros(3), np.eye(3))
+    solved = _solve(p_l_c, R_l_b, imu, p_b_c, np.zeros(3), np.eye(3), scale)
     norm = float(np.linalg.norm(solved.gravity))
     gates = (
         Gate("gravity_error", abs(norm - g_norm), "<=", params.gravity_tolerance, "init.gravity_tolerance", "m/s^2"),
@@ -72,13 +73,14 @@ def refine_gravity(
     imu: Sequence[Preintegration],
     p_b_c: np.ndarray,
     linear: Alignment,
+    scale: float | None = None,
 ) -> tuple[Alignment, InitStage]:
     """N9: the same system with g = |g| direction + B w, w (2,) in the tangent plane, from the new direction again."""
     g = g_norm * linear.gravity / np.linalg.norm(linear.gravity)
     solved = linear
     for _ in range(params.gravity_iterations):
         tangent = np.linalg.svd(g[None])[2][1:].T  # (3, 2)
-        solved = _solve(p_l_c, R_l_b, imu, p_b_c, g, tangent)
+        solved = _solve(p_l_c, R_l_b, imu, p_b_c, g, tangent, scale)
         g = g_norm * solved.gravity / np.linalg.norm(solved.gravity)
     solved = replace(solved, gravity=g)
     gates = (Gate("scale", solved.scale, ">", 0.0),)
@@ -99,8 +101,9 @@ def _solve(
     p_b_c: np.ndarray,
     g_0: np.ndarray,
     tangent: np.ndarray,
+    scale: float | None,
 ) -> Alignment:
-    """Unknowns: v_0 ... v_K-1, w with g = g_0 + tangent w, s / 100."""
+    """Unknowns: v_0 ... v_K-1, w with g = g_0 + tangent w, s / 100 unless it is known."""
     K, m = len(p_l_c), tangent.shape[1]
     A = np.zeros((K - 1, 6, 3 * K + m + 1))
     b = np.zeros((K - 1, 6))
@@ -113,18 +116,24 @@ def _solve(
         A[k, :3, -1] = (p_l_c[k + 1] - p_l_c[k]) / _SCALE_UNIT
         b[k, :3] = R_i @ pre.delta_p + (R_j - R_i) @ p_b_c + 0.5 * dt * dt * g_0
         b[k, 3:] = R_i @ pre.delta_v + dt * g_0
+    if scale is not None:  # as if measured without any doubt
+        b, A = b - A[:, :, -1] * (scale / _SCALE_UNIT), A[:, :, :-1]
     flat = A.reshape(-1, A.shape[2])
     H = flat.T @ flat
     x = np.linalg.solve(H + 1e-12 * np.eye(len(H)), flat.T @ b.ravel())
     residual = (A @ x - b).reshape(-1, 6)
+    v, gravity = x[: 3 * K].reshape(K, 3), g_0 + tangent @ x[3 * K : 3 * K + m]
+    residual_m = float(np.sqrt(np.mean(np.sum(residual[:, :3] ** 2, 1))))
+    if scale is not None:
+        return Alignment(v, gravity, scale, 0.0, residual_m)
     freedom = max(residual.size - len(x), 1)
     unit = np.zeros(len(x))
     unit[-1] = 1.0
     variance = float(np.linalg.solve(H + 1e-12 * np.eye(len(H)), unit)[-1]) * float(np.sum(residual**2)) / freedom
     return Alignment(
-        v=x[: 3 * K].reshape(K, 3),
-        gravity=g_0 + tangent @ x[3 * K : 3 * K + m],
+        v=v,
+        gravity=gravity,
         scale=float(x[-1] / _SCALE_UNIT),
         scale_sigma=float(np.sqrt(variance) / abs(x[-1])) if x[-1] else np.inf,
-        residual_m=float(np.sqrt(np.mean(np.sum(residual[:, :3] ** 2, 1)))),
+        residual_m=residual_m,
     )

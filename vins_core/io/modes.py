@@ -9,13 +9,15 @@ from typing import Literal, get_args
 import numpy as np
 
 from ..errors import CalibrationError, RecordingError
-from ..sensors import Calibration
+from ..sensors import NO_IMU, Calibration
 from .recording import Recording, Stream
 
 Mode = Literal["mono_imu", "stereo_imu", "stereo", "rgbd_imu"]
 MODES: tuple[Mode, ...] = get_args(Mode)
-SUPPORTED: tuple[Mode, ...] = ("mono_imu",)
+SUPPORTED: tuple[Mode, ...] = ("mono_imu", "stereo_imu", "stereo")
 """Those that the estimator can run."""
+PREFERRED: tuple[Mode, ...] = ("stereo_imu", "mono_imu", "stereo")
+"""What a run is in when nobody says: the first that is possible."""
 
 MIN_IMU_HZ = 50.0
 """An IMU that comes more rarely says too little about the motion between its samples."""
@@ -39,7 +41,30 @@ def restrict(calibration: Calibration, mode: Mode) -> Calibration:
     cameras = calibration.cameras[: 2 if mode.startswith("stereo") else 1]
     if mode != "rgbd_imu":
         cameras = tuple(dataclasses.replace(camera, depth=None) for camera in cameras)
+    if mode == "stereo" and calibration.has_imu:
+        calibration = dataclasses.replace(calibration, has_imu=False, noise=NO_IMU, imu_topic="", estimate_td=False)
     return dataclasses.replace(calibration, cameras=cameras)
+
+
+def choose(recording: Recording, calibration: Calibration, wish: Mode | None = None) -> Mode:
+    """The mode of a run: the one wished for, or else the one that uses most of what is there.
+
+    Where nothing can run, the one that comes nearest: what it lacks is told when it starts.
+    Raises CalibrationError when what was wished for cannot be had.
+    """
+    possible = {info.mode: info.missing for info in inspect_modes(recording, calibration)}
+    if wish is None:
+        nearest: Mode = "mono_imu" if calibration.has_imu else "stereo"
+        return next((mode for mode in PREFERRED if not possible[mode]), nearest)
+    if wish not in SUPPORTED:
+        raise CalibrationError(f"mode {wish} is not supported yet; expected one of {', '.join(SUPPORTED)}")
+    if possible[wish]:
+        others = ", ".join(mode for mode in PREFERRED if not possible[mode])
+        raise CalibrationError(
+            f"{recording.path}: mode {wish} needs {' and '.join(possible[wish])}; "
+            + (f"possible is {others}" if others else "no other mode is possible either")
+        )
+    return wish
 
 
 def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibration, tuple[str, ...]]:
@@ -48,11 +73,14 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
     Raises CalibrationError when the estimator cannot do without what is missing.
     """
     where = ", ".join(calibration.sources) or "the calibration"
-    if mode not in SUPPORTED or not calibration.has_imu:
+    if mode not in SUPPORTED:
+        raise CalibrationError(f"mode {mode} is not supported yet; expected one of {', '.join(SUPPORTED)}")
+    if mode != "stereo" and not calibration.has_imu:
+        raise CalibrationError(f"{where}: has no IMU, which mode {mode} needs; expected imu: 1 and its noise")
+    if mode.startswith("stereo") and len(calibration.cameras) < 2:
         raise CalibrationError(
-            f"{where}: has no IMU; cameras without an IMU are not supported yet, expected imu: 1 and its noise"
-            if not calibration.has_imu
-            else f"mode {mode} is not supported yet; expected one of {', '.join(SUPPORTED)}"
+            f"{where}: has one camera, and mode {mode} needs two"
+            + ("" if calibration.has_imu else "; one camera without an IMU cannot tell how large the world is")
         )
     if calibration.extrinsics == "unknown" and np.array_equal(calibration.cameras[0].T_b_c, np.eye(4)):
         raise CalibrationError(
@@ -63,7 +91,10 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
     used = restrict(calibration, mode)
     if len(calibration.cameras) > len(used.cameras):
         names = ", ".join(camera.name for camera in calibration.cameras[len(used.cameras) :])
-        notes.append(f"{names}: stereo is not supported yet, {used.cameras[0].name} alone is used")
+        left = " and ".join(camera.name for camera in used.cameras)
+        notes.append(f"{names}: not used, mode {mode} sees by {left} alone")
+    if calibration.has_imu and not used.has_imu:
+        notes.append(f"imu: not used, mode {mode} goes by the cameras alone; no loops are closed")
     if calibration.cameras[0].depth:
         notes.append(f"depth of {calibration.cameras[0].name}: depth images are not supported yet and not used")
     if calibration.estimate_td:

@@ -47,6 +47,7 @@ class RunHeader:
 
     params: Params
     calibration: Calibration
+    mode: str = "mono_imu"  # which of its sensors are used: io/modes.py
     origins: Mapping[str, str] = field(default_factory=dict)  # key -> "default" | "config" | "params" | "set" | "fork"
     recording: str = ""  # path it was read from
     recording_kind: str = ""  # "asl", "ros1", "ros2", "mcap"

@@ -36,10 +36,12 @@ def regroup(
             if watch.see(t_ns):  # not so the first sample, which is the last of the packet before
                 queue.append(ImuMessage(t_ns, "", gyro, accel), watch.after_gap)
         anomalies += packet.anomalies
-        for image in packet.images:
-            images.append(image)
+        inertial = len(packet.imu) > 0
+        for image, right in packet.pairs:
+            images += [image] if right is None else [image, right]
             t_imu_ns = image.t_ns + td_ns
-            if control.is_due(image.t_ns) and not queue.in_gap(t_imu_ns):
+            if control.is_due(image.t_ns) and not (inertial and queue.in_gap(t_imu_ns)):
                 control.publish(image.t_ns)
-                yield Packet(number, tuple(images), queue.cut(t_imu_ns), tuple(anomalies))
+                imu = queue.cut(t_imu_ns) if inertial else packet.imu
+                yield Packet(number, tuple(images), imu, tuple(anomalies))
                 number, images, anomalies = number + 1, [], []

@@ -9,11 +9,14 @@ from ..params import Health
 from ..report import Gate, HealthReport, PoseEstimate
 
 
-def check(params: Health, tracked: int, previous: PoseEstimate | None, pose: PoseEstimate) -> HealthReport:
+def check(
+    params: Health, tracked: int, previous: PoseEstimate | None, pose: PoseEstimate, further: tuple[Gate, ...] = ()
+) -> HealthReport:
     """Compare the newest frame's estimate with limits and with the previous frame's estimate.
 
     tracked: tracks the newest frame shares with the frame before it.  Advisory gates are shown and decide nothing,
-    as in the original: few tracks (F1) and a fast turn (F6) alone do not mean that the estimate is wrong.
+    as in the original: few tracks (F1) and a fast turn (F6) alone do not mean that the estimate is wrong.  `further`:
+    gates that were judged before the solve.
     """
     gates = [
         Gate("tracked", tracked, ">=", params.min_tracked, "health.min_tracked", decides=False),
@@ -28,6 +31,7 @@ def check(params: Health, tracked: int, previous: PoseEstimate | None, pose: Pos
             Gate("vertical translation", abs(float(moved[2])), "<=", params.max_z_jump_m, "health.max_z_jump_m", "m"),
             Gate("rotation", turned, "<=", params.max_rotation_deg, "health.max_rotation_deg", "deg", decides=False),
         ]
+    gates += further
     failed = [g for g in gates if g.decides and not g.passed]
     outcome = ""
     if failed:

@@ -53,6 +53,11 @@ def move(window: WindowState, angle_rad: float, pivot: np.ndarray, target: np.nd
 
 
 def continue_from(window: WindowState, pose: PoseEstimate) -> WindowState:
-    """A freshly initialised window, placed so that its oldest frame starts at `pose` (position and heading)."""
+    """A freshly initialised window, placed so that its oldest frame starts at `pose`: position and heading.
+
+    A window without IMU, which has but one frame then, takes all of it.
+    """
     oldest = window.frames[0]
+    if not window.inertial:
+        return replace(window, frames=(replace(oldest, p_w_b=pose.p_w_b, q_w_b=pose.q_w_b), *window.frames[1:]))
     return move(window, heading_between(oldest.q_w_b, pose.q_w_b), oldest.p_w_b, pose.p_w_b)

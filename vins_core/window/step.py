@@ -11,6 +11,7 @@ from ..factors.preintegration import repropagate
 from ..params import Imu, Params
 from ..report import (
     FrameReport,
+    Gate,
     HealthReport,
     KeyframeReport,
     LandmarkReport,
@@ -113,12 +114,14 @@ def estimate(
     previous: PoseEstimate | None,
     ms: Timings,
     requests: tuple[RelocalisationRequest, ...] = (),
+    arrival: tuple[Gate, ...] = (),
 ) -> Estimate:
     """Solve a window and slide it.
 
     `keyframe` decides what leaves: the oldest frame when the second newest is a keyframe, else the second newest.
     A window that is not full, because its size was raised in the middle of a run, keeps its oldest.
-    `previous` is the estimate of the frame before, None right after an initialisation.
+    `previous` is the estimate of the frame before, None right after an initialisation; `arrival` are gates about how
+    the frame came in that decide with those of its health.
     """
     turn = solve_window(params, calibration, window, ms, requests)
     leaves_oldest = keyframe.is_keyframe and len(window.frames) > params.window.size
@@ -127,10 +130,10 @@ def estimate(
             turn.solved, turn.judged, turn.assembly, turn.report, inv_depth_sigma(turn.solution), leaves_oldest
         )
         window_report = _window_report(turn.solved, turn.report)
-        if keyframe.is_keyframe and params.loop.enabled:
+        if keyframe.is_keyframe and params.loop.enabled and len(window.frames) > 2:
             window_report = replace(window_report, motion=_motion(turn))
         pose = pose_of(turn.solved.frames[-1])
-        verdict = health.check(params.health, keyframe.tracked, previous, pose)
+        verdict = health.check(params.health, keyframe.tracked, previous, pose, arrival)
         gates, motion = degeneracy.check(params.health, turn.solved.frames, turn.solved.T_b_c[0][:3, :3])
         verdict = replace(verdict, gates=(*verdict.gates, *gates), degeneracy=motion)
     done = Estimate(

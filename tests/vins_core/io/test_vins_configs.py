@@ -331,15 +331,17 @@ def test_what_a_mono_run_leaves_out_is_noted(tmp_path: Path) -> None:
     full = read(tmp_path, text.replace('1_topic: ""', '1_topic: "/b"') + noise, cam=PINHOLE_BLOCK).calibration
     used, notes = modes.prepare(full)
     assert len(full.cameras) == 2 and used.cameras == full.cameras[:1]
-    for said in ("cam1: stereo is not supported yet, cam0 alone", "estimate_td: ", "estimate_extrinsic: "):
+    for said in ("cam1: not used, mode mono_imu sees by cam0 alone", "estimate_td: ", "estimate_extrinsic: "):
         assert sum(note.startswith(said) for note in notes) == 1
 
 
-def test_a_run_without_imu_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        CalibrationError, match=r"config.yaml: has no IMU; cameras without an IMU are not supported yet"
-    ):
-        modes.prepare(read(tmp_path, KITTI_FUSION, cam=PINHOLE_BLOCK).calibration)
+def test_what_a_calibration_lacks_for_a_mode_is_told(tmp_path: Path) -> None:
+    calibration = read(tmp_path, KITTI_FUSION, cam=PINHOLE_BLOCK).calibration
+    assert modes.prepare(calibration, "stereo")[0].cameras == calibration.cameras
+    with pytest.raises(CalibrationError, match=r"config.yaml: has no IMU, which mode stereo_imu needs"):
+        modes.prepare(calibration, "stereo_imu")
+    with pytest.raises(CalibrationError, match=r"has one camera, and mode stereo needs two; one camera without an IMU"):
+        modes.prepare(modes.restrict(calibration, "mono_imu"), "stereo")
 
 
 def test_a_second_camera_that_the_recording_lacks_is_noted(tmp_path: Path) -> None:
