@@ -10,14 +10,14 @@ from tyro.conf import Positional, UseAppendAction, arg
 from vins_core.params import OFFERED, Declaration
 
 Recording = Positional[
-    Annotated[Path, arg(metavar="RECORDING", help="ROS 1 .bag, ROS 2 bag (folder, .db3, .mcap) or EuRoC folder")]
+    Annotated[Path, arg(metavar="RECORDING", help="ROS 1 .bag, ROS 2 bag (folder, .db3, .mcap), EuRoC or KITTI folder")]
 ]
 Run = Positional[Annotated[Path, arg(metavar="RUN", help="folder written by `vinspect run`")]]
 Calibrations = Annotated[
     UseAppendAction[tuple[Path, ...]],
     arg(
         metavar="FILE",
-        help="calibration: VINS, Kalibr (two files), EuRoC or vinspect YAML; an EuRoC folder brings its own",
+        help="calibration: VINS, OpenVINS, Kalibr (two files), EuRoC or vinspect YAML; EuRoC and KITTI bring their own",
     ),
 ]
 Json = Annotated[bool, arg(help="print JSON")]
