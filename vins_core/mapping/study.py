@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import takewhile
 from threading import Lock
 from typing import Any
 
@@ -71,6 +70,7 @@ class LoopStudy:
         self._revisits: list[bool] = []
         self._evidence = Evidence(run)
         self._motions: dict[int, np.ndarray | None] = {}
+        self._advanced = 0  # keyframes of its own that have been looked into, from the first on
         self._judged: tuple[Judgement, ...] = ()
         self._reports = Recent(self._examine_all, KEEP_REPORTS)
 
@@ -122,15 +122,15 @@ class LoopStudy:
 
     def advance(self, n: int = 1) -> int:
         """Look into the next `n` keyframes that nobody has looked into; returns how many are left."""
-        missing = [row for row in self._own_rows() if not self._evidence.has(self._params(row).loop, row.number)]
-        for row in missing[:n]:
+        rows, first = self._own_rows(), self._advanced
+        for row in rows[first : first + n]:
             self._evidence.report(self._params(row).loop, row.number)
-        return len(missing) - min(n, len(missing))
+        self._advanced = max(self._advanced, min(first + n, len(rows)))
+        return len(rows) - self._advanced
 
     def judged(self) -> tuple[LoopReport, ...]:
         """The keyframes that `advance` has come to, as they were judged, with every gate and without matches."""
-        known = takewhile(lambda row: self._evidence.has(self._params(row).loop, row.number), self._own_rows())
-        return tuple(j.report for j in self._as_recorded(list(known)))
+        return tuple(j.report for j in self._as_recorded(self._own_rows()[: self._advanced]))
 
     def funnel(self) -> tuple[FunnelStage, ...]:
         """Of what the run accepted, over the keyframes that `advance` has come to."""
@@ -150,6 +150,7 @@ class LoopStudy:
         rows = self._own_rows()
         if not self._prepare(rows, {}, at, progress, cancelled):
             return None
+        self._advanced = max(self._advanced, len(rows))
         answered, unanswered = _answerable(changes, can_thin=len(rows) == len(self.rows()))
         recorded = self._as_recorded(rows)
         before = tuple(j.report for j in recorded)
