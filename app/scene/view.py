@@ -20,7 +20,7 @@ from .window import WindowLayer
 LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer, UncertaintyLayer, LoopLayer)
 TOGGLES: dict[str, str] = {name: title for layer in (*LAYERS, GroundLayer) for name, title in layer.toggles.items()}
 """Every layer that can be switched, with the title of its checkbox."""
-OFF = frozenset({"uncertainty"})
+OFF = frozenset({"uncertainty", "loops.refused"})
 """Layers that are off unless a layout asks for them; all others are on."""
 
 VIEW = np.array([0.5, 0.75, -0.62])
