@@ -35,8 +35,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def runs(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, RunReader]:
     folder = tmp_path_factory.mktemp("runs")
     for mode in MODES:
-        calibration, settings = [calibration_path(recording)], ["loop.enabled=0"]
-        run_recording(recording, calibration, out=folder / mode, mode=mode, settings=settings)
+        run_recording(recording, [calibration_path(recording)], out=folder / mode, mode=mode)
     return {mode: RunReader(folder / mode) for mode in MODES}
 
 
@@ -69,6 +68,15 @@ def test_every_frame_says_what_the_second_camera_saw(runs: dict[str, RunReader],
     solve = run.report(len(run) - 1).solve
     assert solve is not None and set(solve.visual_camera) == {0, 1}
     assert (len(solve.imu_sigma) > 0 and np.isfinite(solve.imu_sigma).any()) == (mode == "stereo_imu")
+
+
+def test_loops_are_looked_for_with_imu_and_not_without(runs: dict[str, RunReader]) -> None:
+    """Without gravity nothing tells a turn about it from any other."""
+    described = {mode: [k for k in range(len(run)) if run.report(k).closure] for mode, run in runs.items()}
+    assert len(described["stereo_imu"]) > 2 and not described["stereo"]
+    motions = [w.motion for k in range(len(runs["stereo_imu"])) if (w := runs["stereo_imu"].report(k).window)]
+    assert any(m is not None and np.isfinite(m).all() for m in motions)
+    assert any(note.startswith("loops: not closed") for note in runs["stereo"].header.notes)
 
 
 @pytest.mark.parametrize("mode", MODES)

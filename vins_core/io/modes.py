@@ -94,7 +94,9 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
         left = " and ".join(camera.name for camera in used.cameras)
         notes.append(f"{names}: not used, mode {mode} sees by {left} alone")
     if calibration.has_imu and not used.has_imu:
-        notes.append(f"imu: not used, mode {mode} goes by the cameras alone; no loops are closed")
+        notes.append(f"imu: not used, mode {mode} goes by the cameras alone")
+    if mode == "stereo":
+        notes.append("loops: not closed, since without an IMU nothing shows where down is")
     if calibration.cameras[0].depth:
         notes.append(f"depth of {calibration.cameras[0].name}: depth images are not supported yet and not used")
     if calibration.estimate_td:
