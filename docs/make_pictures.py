@@ -1,6 +1,6 @@
 """The pictures of the documentation: makes the runs, opens them in headless Chromium, and photographs the page.
 
-    python docs/make_pictures.py [overview] [why]       # both by default; Debian's chromium is needed
+    python docs/make_pictures.py [overview] [why] [loops]     # all by default; Debian's chromium is needed
 
 Whatever the page shows is computed here and now, by the commands that the documentation names.
 """
@@ -22,9 +22,11 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
+from app.context import RunView
 from app.runs import open_path
 from app.server import Server, sample
 from app.session import Session
+from vins_core.report import LoopOutcome
 
 IMAGES = Path(__file__).parent / "images"
 SIZE = {"width": 1600, "height": 950}
@@ -60,10 +62,30 @@ class Studio:
             self.page.wait_for_timeout(100)
         raise TimeoutError(f"not within {seconds:g} s")
 
+    @property
+    def run(self) -> RunView:
+        assert self.session.opened.view is not None
+        return self.session.opened.view
+
+    def loops(self) -> None:
+        """The layout of loops, once every gate of the run is judged."""
+        self.page.keyboard.press("Alt+6")
+        self.until_judged()
+
+    def look_at_loop(self, later: int) -> None:
+        self.page.get_by_label("later keyframe").fill(str(later))
+        self.page.get_by_label("earlier keyframe").fill("")
+        self.page.get_by_role("button", name="ask", exact=True).click()
+        self.page.locator("[data-vip=loops] [data-remedy]").first.wait_for(timeout=600_000)
+
+    def until_judged(self) -> None:
+        self.page.wait_for_timeout(1000)
+        self.page.locator("[data-loops=complete]").first.wait_for(state="attached", timeout=900_000)
+
     def photograph(self, name: str) -> None:
         s = self.session
         self.page.wait_for_timeout(500)
-        self.until(lambda: s.idle and s.experiment.idle and s.comparer.idle)
+        self.until(lambda: s.drawing.idle and s.experiment.idle and s.answers.comparer.idle and s.answers.loops.idle)
         self.page.mouse.move(800, 2)
         self.page.wait_for_timeout(SETTLE_MS)
         save(self.page.screenshot(), IMAGES / f"{name}.png")
@@ -111,8 +133,7 @@ def overview(folder: Path) -> None:
     command("run", recording, "--calib", calibration[0], "--out", folder / "room_loop")
     with studio(folder / "room_loop") as s:
         s.go(172)
-        assert s.session.opened.view is not None
-        report = s.session.opened.view.report(172)
+        report = s.run.report(172)
         marks = report.landmarks
         assert marks is not None
         alive = np.isin(marks.ids, report.tracks.ids) & np.isfinite(marks.error_px)
@@ -157,7 +178,47 @@ def why(folder: Path) -> None:
         s.photograph("why-7-compare")
 
 
-PICTURES = {"overview": overview, "why": why}
+def loops(folder: Path) -> None:
+    """The pictures of why-no-loop.md, in its order."""
+    command("simulate", "level_camera", "--out", folder / "level", "--format", "asl")
+    command("run", folder / "level", "--set", "loop.heading=euler", "--out", folder / "few_loops")
+    with studio(folder / "few_loops") as s:
+        s.loops()
+        s.page.locator("[data-filter=missed]").click()
+        s.look_at_loop(150)
+        s.photograph("loop-1-refused")
+        s.page.get_by_role("button", name="set these").click()
+        s.until_judged()
+        s.photograph("loop-2-limit")
+        s.page.locator("[data-vip=loops]").get_by_role("button", name="reset").click()
+        s.page.locator(".vi-loopknobs summary").click()
+        s.page.locator(".vi-loopknobs [data-knob='loop.heading'] select").select_option("gravity")
+        s.until_judged()
+        s.photograph("loop-3-gravity")
+        s.page.get_by_role("button", name="Fork with these settings").click()
+        s.until(lambda: s.session.other is not None and not s.session.other.growing, 900)
+        assert s.session.other is not None
+        s.page.evaluate(f"vi.send({{k: 'open', id: '{s.session.other.id}'}})")
+        s.page.evaluate("vi.send({k: 'reset'})")
+        s.loops()
+        s.look_at_loop(150)
+        s.go(len(s.run) - 1)
+        s.tab("Graph")
+        s.photograph("loop-4-fork")
+    command("simulate", "twin_rooms", "--out", folder / "twins", "--format", "asl")
+    command("run", folder / "twins", "--out", folder / "twin_rooms")
+    with studio(folder / "twin_rooms") as s:
+        s.loops()
+        s.look_at_loop(first_inconsistent(s.run))
+        s.photograph("loop-5-twins")
+
+
+def first_inconsistent(run: RunView) -> int:
+    """The first keyframe whose loop only the odometry speaks against."""
+    return next(row.number for row in run.loops.rows() if row.outcome is LoopOutcome.INCONSISTENT)
+
+
+PICTURES = {"overview": overview, "why": why, "loops": loops}
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or list(PICTURES)

@@ -295,8 +295,7 @@ def _remedy(seen: LoopsView, pair: PairView) -> Html:
         return tag("div", muted("looking for the smallest change that accepts it …"), cls="vi-p")
     remedy = seen.remedy
     if remedy is None:
-        unknown = [g.name for g in pair.candidate.gates if g.value is None and g.decides]
-        why = f"{unknown[0]} cannot be computed" if unknown else "a value lies outside of what its limit may be"
+        why = _beyond_limits(_gates(pair))
         return tag("div", f"No limits accept it: {why}.", cls="vi-outcome", data_remedy="none")
     if not remedy.changes:
         return tag("div", *_not_by_limits(remedy), cls="vi-outcome vi-plain", data_remedy="order")
@@ -318,6 +317,20 @@ def _remedy(seen: LoopsView, pair: PairView) -> Html:
         "div", term("Would close", "loops.remedy"), " with ", *parts, said, " ", use, caveat,
         cls="vi-outcome vi-remedy", data_remedy="limits",
     )  # fmt: skip
+
+
+def _beyond_limits(gates: tuple[Gate, ...]) -> str:
+    """Why no allowed setting lets a pair pass."""
+    for gate in gates:
+        if gate.passed or not gate.decides:
+            continue
+        if gate.value is None:
+            return f"{gate.name} cannot be computed"
+        declared = DECLARATIONS.get(gate.knob)
+        end = None if declared is None else declared.low if gate.op.startswith(">") else declared.high
+        if end is not None and (gate.value < end if gate.op.startswith(">") else gate.value > end):
+            return f"{gate.name} is {number(gate.value)}, and {gate.knob} ends at {figures(end)}"
+    return "they contradict each other"
 
 
 def _apply(remedy: Remedy) -> str:
