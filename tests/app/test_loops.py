@@ -23,7 +23,7 @@ from app.tooltips import TIPS
 from vins_core import params as parameters
 from vins_core.mapping.truth import Place
 from vins_core.record.recording import RunReader
-from vins_core.report import MATCH_STAGES, LoopOutcome, MatchStage
+from vins_core.report import MATCH_STAGES, Gate, LoopOutcome, MatchStage
 
 ELEMENTS = {
     "", "div", "span", "b", "i", "u", "a", "kbd", "img", "code", "table", "thead", "tbody", "tr", "th", "td", "button",
@@ -207,6 +207,19 @@ def test_the_panel_names_every_gate_with_the_parameter_behind_it(run: RunView) -
 def test_the_remedy_says_what_else_it_lets_in(run: RunView) -> None:
     said = drawn(panel, run, ask(run, loop(REFUSED))).one("div", data_remedy="limits").text
     assert re.search(r"heading ≤ [\d.]+ deg; accepts \d+ more", said)
+
+
+def test_where_no_limit_helps_the_page_says_why(run: RunView) -> None:
+    seen = ask(run, loop(REFUSED))
+    assert seen.pair is not None and seen.pair.candidate is not None
+
+    def said(value: float | None) -> str:
+        gate = Gate("drift", value, "<=", 6.0, "loop.max_drift", "sigma")
+        pair = dataclasses.replace(seen.pair, candidate=dataclasses.replace(seen.pair.candidate, gates=(gate,)))
+        return drawn(panel, run, dataclasses.replace(seen, pair=pair, remedy=None)).one("div", data_remedy="none").text
+
+    assert "drift is 137, and loop.max_drift ends at 100" in said(137.0)
+    assert "drift cannot be computed" in said(None)
 
 
 def test_a_loop_that_closed_needs_no_remedy(run: RunView) -> None:
