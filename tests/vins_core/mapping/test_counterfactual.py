@@ -22,22 +22,22 @@ from vins_core.record.recording import RunReader
 from vins_core.runner import run_recording
 
 LIMITS = {
-    "loop.min_score_ratio": (0.05, 0.9),
-    "loop.min_neighbour_score": (0.01, 0.6),
-    "loop.min_matches": (6, 80),
-    "loop.min_epipolar": (6, 80),
-    "loop.min_inliers": (6, 120),
-    "loop.max_rms_px": (0.5, 4.0),
-    "loop.max_sigma_m": (0.002, 0.1),
-    "loop.max_tilt_deg": (0.1, 5.0),
-    "loop.max_heading_deg": (2.0, 60.0),
-    "loop.max_distance_m": (0.1, 2.0),
+    "loop.min_score_ratio": (0.1, 0.9),
+    "loop.min_neighbour_score": (0.1, 0.6),
+    "loop.min_matches": (20, 110),
+    "loop.min_epipolar": (20, 110),
+    "loop.min_inliers": (15, 110),
+    "loop.max_rms_px": (0.5, 2.0),
+    "loop.max_sigma_m": (0.001, 0.03),
+    "loop.max_tilt_deg": (0.1, 2.0),
+    "loop.max_heading_deg": (2.0, 45.0),
+    "loop.max_distance_m": (0.1, 1.0),
     "loop.candidates": (1, 6),
-    "loop.max_drift": (1.0, 30.0),
-    "loop.sure_drift": (0.1, 10.0),
-    "loop.min_agreement": (0, 6),
-    "loop.agreement_span": (1, 12),
-    "loop.drift_inflation": (1.0, 10.0),
+    "loop.max_drift": (1.0, 2.0),
+    "loop.sure_drift": (0.01, 1.0),
+    "loop.min_agreement": (0, 8),
+    "loop.agreement_span": (1, 8),
+    "loop.drift_inflation": (1.0, 4.0),
 }
 """Decision limits, and where they matter."""
 CONSISTENCY = tuple(LIMITS)[-5:]
