@@ -120,5 +120,7 @@ class _Scatter:
 
     def add(self) -> tuple[np.ndarray, np.ndarray]:
         n = self._size + 1
+        if not len(self._place):  # bincount would count then, in integers
+            return np.zeros((n - 1, n - 1)), np.zeros(n - 1)
         H = np.bincount(self._place, self._entries, n * n).reshape(n, n)
         return H[:-1, :-1], H[:-1, -1]

@@ -130,7 +130,7 @@ def estimate(
             turn.solved, turn.judged, turn.assembly, turn.report, inv_depth_sigma(turn.solution), leaves_oldest
         )
         window_report = _window_report(turn.solved, turn.report)
-        if keyframe.is_keyframe and params.loop.enabled and len(window.frames) > 2:
+        if keyframe.is_keyframe and params.loop.enabled and window.inertial and len(window.frames) > 2:
             window_report = replace(window_report, motion=_motion(turn))
         pose = pose_of(turn.solved.frames[-1])
         verdict = health.check(params.health, keyframe.tracked, previous, pose, arrival)

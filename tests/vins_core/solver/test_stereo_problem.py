@@ -11,7 +11,7 @@ import synthetic_window as sw
 from vins_core import params as settings
 from vins_core.geometry import se3
 from vins_core.params import Params
-from vins_core.solver.covariance import covariances
+from vins_core.solver.covariance import covariances, relative_poses
 from vins_core.solver.ipopt import compare_optimum
 from vins_core.solver.linearize import Linearizer
 from vins_core.solver.problem import WindowProblem
@@ -159,6 +159,18 @@ def test_covariance_of_a_stereo_window_without_imu_grows_away_from_the_held_pose
     assert known is not None and np.isnan(known.speed_biases).all()
     sigma_m = np.sqrt(np.trace(known.poses[:, :3, :3], axis1=1, axis2=2))
     assert sigma_m[0] < 1e-5 and sigma_m[-1] > sigma_m[1] > sigma_m[0]
+
+
+def test_a_window_without_any_factor_stays_where_it_is() -> None:
+    """As one without IMU is at its first frame."""
+    window = ss.without_imu(ss.make(9, n_frames=3, n_tracks=40).window)
+    params = settings.replace(PARAMS, {"window.min_observations": 4})
+    problem = assemble(params, window, sw.GRAVITY).problem
+    assert not problem.tables and not problem.imu
+    solution = solve(params, problem)
+    np.testing.assert_array_equal(solution.states.poses, problem.initial.poses)
+    assert covariances(problem, problem.initial) is None
+    assert relative_poses(problem, problem.initial, [(0, 1)], solution.system) == [None]
 
 
 def test_the_report_says_which_camera_saw_what() -> None:
