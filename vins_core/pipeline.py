@@ -160,7 +160,8 @@ def receive(
             window, located = locate(params, state.window)
         state, gates = replace(state, window=window), (located,)
     R_b_c = state.window.T_b_c[0][:3, :3]
-    keyframe = decide(params.window, state.window.frames, R_b_c, gyro_is_calibrated=tracking)
+    posed = tracking and not state.window.inertial
+    keyframe = decide(params.window, state.window.frames, R_b_c, gyro_is_calibrated=tracking, posed=posed)
     state = _remember_decision(state, keyframe.is_keyframe)
     state = replace(state, tracker=tracker, rejected_ids=(), behind_ids=())
     report = FrameReport(

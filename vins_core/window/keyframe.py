@@ -19,13 +19,14 @@ FOCAL_460 = 460.0
 
 
 def decide(
-    params: Window, frames: tuple[WindowFrame, ...], R_b_c: np.ndarray, gyro_is_calibrated: bool
+    params: Window, frames: tuple[WindowFrame, ...], R_b_c: np.ndarray, gyro_is_calibrated: bool, posed: bool = False
 ) -> KeyframeReport:
     """Keyframe decision about `frames[-2]`; `frames[-1]` is the frame that has just arrived.
 
     R_b_c: (3, 3) rotation of the camera in the body.  `gyro_is_calibrated` says whether the gyroscope bias has been
     estimated; before that the rotation is taken from the images alone (`align_rays`), because an unknown bias of
-    0.1 rad/s would pass for 5 px of parallax in a tenth of a second.
+    0.1 rad/s would pass for 5 px of parallax in a tenth of a second.  Without IMU the rotation is that of the estimated
+    poses, once there are such (`posed`); one found from the images alone takes some of a sideways motion with it.
     """
     if len(frames) < 3:
         return _report(True, "the window has fewer than three frames", np.nan, np.nan, 0, frames, ())
@@ -36,7 +37,10 @@ def decide(
     raw = compensated = np.nan
     if len(i):
         raw = parallax_px460(rays_i, rays_j)
-        if gyro_is_calibrated and second.imu is not None:
+        if posed:
+            q_i_j = so3.multiply(so3.inverse(third.q_w_b), second.q_w_b)
+            compensated = parallax_px460(rays_i @ (R_b_c.T @ so3.to_matrix(q_i_j) @ R_b_c), rays_j)
+        elif gyro_is_calibrated and second.imu is not None:
             R_ci_cj = R_b_c.T @ so3.to_matrix(second.imu.delta_q) @ R_b_c
             compensated = parallax_px460(rays_i @ R_ci_cj, rays_j)
         else:
