@@ -211,12 +211,15 @@ def test_the_remedy_says_what_else_it_lets_in(run: RunView) -> None:
 
 def test_where_no_limit_helps_the_page_says_why(run: RunView) -> None:
     seen = ask(run, loop(REFUSED))
-    assert seen.pair is not None and seen.pair.candidate is not None
+    pair = seen.pair
+    assert pair is not None and pair.candidate is not None
+    candidate = pair.candidate
 
     def said(value: float | None) -> str:
         gate = Gate("drift", value, "<=", 6.0, "loop.max_drift", "sigma")
-        pair = dataclasses.replace(seen.pair, candidate=dataclasses.replace(seen.pair.candidate, gates=(gate,)))
-        return drawn(panel, run, dataclasses.replace(seen, pair=pair, remedy=None)).one("div", data_remedy="none").text
+        forged = dataclasses.replace(pair, candidate=dataclasses.replace(candidate, gates=(gate,)))
+        view = dataclasses.replace(seen, pair=forged, remedy=None)
+        return drawn(panel, run, view).one("div", data_remedy="none").text
 
     assert "drift is 137, and loop.max_drift ends at 100" in said(137.0)
     assert "drift cannot be computed" in said(None)
