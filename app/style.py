@@ -311,7 +311,8 @@ _LOOPS = f"""
 .vi-match circle{{--r:2.8px;--s:1px}} .vi-match .e,.vi-match .r,.vi-loose .l{{display:none}}
 .vi-match:hover .e,.vi-match:hover .r,.vi-loose:hover .l{{display:inline}}
 .vi-match:hover{{stroke:{SELECTION}}} .vi-match:hover .l{{--s:2.4px;opacity:1}}
-.vi-match .e{{stroke:{SELECTION};stroke-dasharray:2 3;opacity:.9}}
+svg:has(>.vi-match:hover)>.vi-match:not(:hover){{opacity:.25}}
+.vi-match .e{{stroke:{SELECTION};stroke-dasharray:4 3;--s:1.6px;opacity:1}}
 .vi-match .r{{stroke:#FFFFFF;fill:none;--r:5px;--s:1.6px;opacity:1}}
 .vi-fate{{cursor:pointer}} .vi-fate:hover{{color:{STRONG}}}
 """
