@@ -150,12 +150,13 @@ def _tie(params: Params, closure: Closure, window: WindowState) -> tuple[Closure
     ready = tuple(loop.edge for loop in closure.pending if loop.frame not in inside)
     if not ready:
         return closure, ()
-    graph = closure.graph
+    graph, edges = closure.graph, []
     for edge in ready:
         graph = _with_edge(params, graph, edge)
+        edges.append(replace(edge, T_i_j=graph.T_loops[-1].copy()))
     waiting = tuple(loop for loop in closure.pending if loop.frame in inside)
     requests = tuple(r for r in closure.requests if r.frame in inside)
-    return replace(closure, graph=graph, pending=waiting, requests=requests), ready
+    return replace(closure, graph=graph, pending=waiting, requests=requests), tuple(edges)
 
 
 def _with_edge(params: Params, graph: PoseGraph, edge: LoopEdge) -> PoseGraph:
@@ -204,7 +205,8 @@ def _enter(closure: Closure, keyframe: LoopKeyframe) -> tuple[Closure, KeyframeE
         fast = graph.sessions[-1].drift
     number = len(graph)
     graph = add_keyframe(graph, keyframe.frame, keyframe.t_ns, keyframe.T_w_b[:3], keyframe.T_w_b[3:])
-    entry = KeyframeEntry(number, len(graph.sessions) - 1, keyframe.frame, keyframe.t_ns, keyframe.T_w_b)
+    T_vio = graph.T_vio[number].copy()  # as the graph has it, to the last bit: the record restores the graph from it
+    entry = KeyframeEntry(number, len(graph.sessions) - 1, keyframe.frame, keyframe.t_ns, T_vio)
     return replace(closure, graph=graph, session_open=True, fast_drift=fast), entry
 
 
