@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import re
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -25,6 +27,8 @@ from vins_core.mapping.truth import Place
 from vins_core.record.recording import RunReader
 from vins_core.report import MATCH_STAGES, Gate, LoopOutcome, MatchStage
 
+T = TypeVar("T")
+
 ELEMENTS = {
     "", "div", "span", "b", "i", "u", "a", "kbd", "img", "code", "table", "thead", "tbody", "tr", "th", "td", "button",
     "svg", "g", "path", "rect", "circle", "polyline", "title",
@@ -36,6 +40,12 @@ REFUSED, CLOSED, LATEST = 10, 30, 38
 @pytest.fixture(scope="module")
 def run(looping_run: Path) -> RunView:
     return RunView(RunReader(looping_run))
+
+
+def in_a_loop(coroutine: Coroutine[Any, Any, T]) -> T:
+    """Its result; in a thread, because a browser test leaves an event loop in the main one."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(asyncio.run, coroutine).result()
 
 
 def ask(run: RunView, selection: Selection, changes: dict[str, Any] | None = None, show: str = "all") -> LoopsView:
@@ -52,7 +62,7 @@ def ask(run: RunView, selection: Selection, changes: dict[str, Any] | None = Non
         assert seen is not None and loops.idle
         return seen
 
-    return asyncio.run(wait())
+    return in_a_loop(wait())
 
 
 def drawn(module: Any, run: RunView, seen: LoopsView, **more: Any) -> Markup:
@@ -129,7 +139,7 @@ def test_an_answer_to_another_question_is_never_shown(run: RunView) -> None:
         other = loops.look(run, 60, loop(REFUSED), {}, asking=False)
         assert other is not None and other.busy and other.pair is None and not other.remedy_known
 
-    asyncio.run(body())
+    in_a_loop(body())
 
 
 def test_the_next_candidate_is_one_that_was_looked_at(run: RunView) -> None:

@@ -125,6 +125,8 @@ class Stopwatch:
         rest = lambda: time.sleep(REST_S)  # noqa: E731
         self._benchmark.pedantic(lambda: self._taken.append(action()), setup=rest, rounds=ROUNDS, warmup_rounds=3)
         cpu = 1e3 * (time.process_time() - cpu) / len(self._taken)
+        if not self._benchmark.enabled:
+            return  # it ran once, as a test
         bare = statistics.median((bare, self._bare()))
         median, name = statistics.median(self._taken[3:]), self._benchmark.name
         self._benchmark.extra_info |= {
