@@ -34,6 +34,7 @@ def tab(server: Server, browser: Browser) -> Iterator[Page]:
 def page(tab: Page, server: Server) -> Page:
     """The tab at FRAME, in the first layout, nothing changed and nothing selected."""
     session = session_of(server)
+    tab.wait_for_function("!document.activeElement.matches('input, select, textarea')")  # a menu lets go after a moment
     tab.keyboard.press("Alt+2")
     wait_until(tab, lambda: session.layout.hotkey == "alt+2")
     tab.keyboard.press("Alt+1")

@@ -175,8 +175,10 @@ def test_a_fork_without_changes_has_no_first_difference(page: Page, server: Serv
 def test_a_fork_can_be_stopped(page: Page, server: Server) -> None:
     open_tab(page, "Runs")
     page.evaluate("vi.send({k: 'frame', i: 1})")
-    page.evaluate("vi.send({k: 'set', key: 'window.max_iterations', v: 100})")  # slowly
-    page.evaluate("vi.send({k: 'set', key: 'solver.function_tolerance', v: 0})")
+    slowly = {"window.max_iterations": 100, "solver.function_tolerance": 0, "frontend.max_cnt": 1000,
+              "frontend.min_dist": 5, "frontend.klt_window": 41, "frontend.klt_iterations": 100}  # fmt: skip
+    for key, value in slowly.items():
+        page.evaluate(f"vi.send({{k: 'set', key: '{key}', v: {value}}})")
     wait_for_frame(page, 1)
     page.keyboard.press("Control+Enter")
     page.get_by_role("button", name="stop", exact=True).click(timeout=60_000)

@@ -36,7 +36,7 @@ def test_links_and_pictures_are_there(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_parameters_that_a_page_names_exist(page: Path) -> None:
-    named = re.findall(rf"(?<![\w/])((?:{'|'.join(sorted(SECTIONS))})\.\w+)", page.read_text("utf-8"))
+    named = re.findall(rf"(?<![\w/-])((?:{'|'.join(sorted(SECTIONS))})\.\w+)", page.read_text("utf-8"))
     assert set(named) - {f"{section}.name" for section in SECTIONS} <= DECLARATIONS.keys()
 
 
