@@ -25,7 +25,7 @@ from ..record.codec import Blob, pack
 from .graph import PoseGraph, Session, extend, frozen
 
 FORMAT = "vinspect map"
-SCHEMA = 1
+SCHEMA = 2
 HEADER = "map.json"
 _MAX_HEADER = 1 << 20
 _MAX_PART = 1 << 31

@@ -2,9 +2,10 @@
 
 A blob holds named sections (msgpack, typed when decoded) and one table of arrays that the sections refer to:
 
-    sizes 3 x u32 | zlib (directory in msgpack, integer arrays) | floating-point arrays
+    sizes 5 x u32 | zlib (directory in msgpack, integers, tops of doubles, singles) | rest of doubles
 
-Each array is aligned to 16.  Integers (ids, stamps, indices) shrink to a sixth in no time; measured floats do not.
+Integers (ids, stamps, indices) shrink to a sixth in no time.  Of measured floats only sign, exponent and first digits
+do, once bytes of equal rank stand together: of doubles the upper two go to zlib, of singles, often pixels, all four.
 
 An array that occurs twice in a blob is stored once.  Since state is immutable, one that is still the same object as
 in an earlier blob of a series is not stored at all: it is referred to by (blobs back, index).  So a sliding window
@@ -31,7 +32,8 @@ ALIGNMENT = 16
 DTYPES = frozenset(("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f4", "<f8"))
 _EXT_ARRAY = 1
 _REFERENCE = struct.Struct("<II")  # blobs back, index in that blob's table
-_SIZES = struct.Struct("<III")  # bytes of: the zlib stream, the directory in it, the integers in it
+_SIZES = struct.Struct("<IIIII")  # bytes of: the zlib stream; in it the directory, integers, tops, singles
+_TOP, _REST = 2, 6  # bytes of a double
 _MAX_UNPACKED = 64 * 1024 * 1024
 MAX_DIRECTORY = 16 * 1024 * 1024
 """Bytes of msgpack in a blob: objects made of them take up to eight times as much."""
@@ -42,7 +44,7 @@ class _Spec(msgspec.Struct, array_like=True, frozen=True):
 
     dtype: str
     shape: tuple[int, ...]
-    offset: int  # from the start of the integers or of the floats
+    offset: int  # bytes from the start of the integers; values from that of the singles or doubles
     fortran: bool = False  # column-major: BLAS may add in another order, so the layout is part of the value
 
 
@@ -75,18 +77,19 @@ def pack_series(own: Mapping[str, Any], shared: Mapping[str, Any], ledger: Ledge
     directory = msgspec.msgpack.encode(_Directory(encoded, table.specs))
     if len(directory) > MAX_DIRECTORY:
         raise OutputError(f"{len(directory)} bytes of names and numbers are too many for one block of a record")
-    integers, floats = (b"".join(pool) for pool in (table.integers, table.floats))
-    packed = zlib.compress(_aligned(directory) + integers, 1)
-    head = _SIZES.pack(len(packed), len(directory), len(integers)) + packed
-    return _aligned(head) + floats, Ledger(ledger.blob + 1, table.seen)
+    inside = [b"".join(pool) for pool in (table.integers, table.tops, table.singles)]
+    packed = zlib.compress(b"".join([_aligned(directory), *inside]), 1)
+    head = _SIZES.pack(len(packed), len(directory), *map(len, inside))
+    return b"".join([head, packed, *table.rests]), Ledger(ledger.blob + 1, table.seen)
 
 
 def _aligned(data: bytes) -> bytes:
     return data + bytes(-len(data) % ALIGNMENT)
 
 
-def _is_integer(dtype: str) -> bool:
-    return dtype[1] != "f"
+def _by_rank(data: bytes, itemsize: int) -> np.ndarray:
+    """(itemsize, n) uint8: the lowest byte of every value, then the second lowest, and so on."""
+    return np.frombuffer(data, np.uint8).reshape(-1, itemsize).T
 
 
 class _Table:
@@ -95,11 +98,13 @@ class _Table:
     def __init__(self, ledger: Ledger) -> None:
         self.specs: list[_Spec] = []
         self.integers: list[bytes] = []
-        self.floats: list[bytes] = []
+        self.tops: list[bytes] = []
+        self.rests: list[bytes] = []
+        self.singles: list[bytes] = []
         self.seen: dict[int, tuple[np.ndarray, int, int]] = {}  # what the shared sections hold: the next ledger
         self._ledger = ledger
         self._by_content: dict[tuple[str, tuple[int, ...], bool, bytes], int] = {}
-        self._sizes = [0, 0]  # of floats, of integers
+        self._sizes = {"integers": 0, "<f4": 0, "<f8": 0}
 
     def encode(self, value: Any, own_only: bool) -> bytes:
         def hook(leaf: Any) -> Any:
@@ -129,36 +134,50 @@ class _Table:
         index = self._by_content.get(key)
         if index is None:
             index = self._by_content[key] = len(self.specs)
-            integer = _is_integer(dtype)
-            self.specs.append(_Spec(dtype, array.shape, self._sizes[integer], fortran))
-            chunk = _aligned(data)
-            (self.integers if integer else self.floats).append(chunk)
-            self._sizes[integer] += len(chunk)
+            pool = dtype if dtype in self._sizes else "integers"
+            self.specs.append(_Spec(dtype, array.shape, self._sizes[pool], fortran))
+            if pool == "integers":
+                self.integers.append(_aligned(data))
+                self._sizes[pool] += len(self.integers[-1])
+            else:
+                self._split(data, array.dtype.itemsize)
+                self._sizes[pool] += array.size
         return index
+
+    def _split(self, data: bytes, itemsize: int) -> None:
+        rows = _by_rank(data, itemsize)
+        if itemsize == _TOP + _REST:
+            self.tops.append(rows[_REST:].tobytes())
+            self.rests.append(rows[:_REST].tobytes())
+        else:
+            self.singles.append(rows.tobytes())
 
 
 class Blob:
-    """A blob that was read.  Arrays are read-only views into it; RunError where it contradicts itself."""
+    """A blob that was read.  Its arrays are read-only; RunError where it contradicts itself."""
 
     def __init__(self, data: bytes, where: str, max_directory: int = MAX_DIRECTORY) -> None:
         self._where = where
         if len(data) < _SIZES.size:
             raise self._damaged("is too short")
-        packed, directory, integers = _SIZES.unpack_from(data)
+        packed, directory, *sizes = _SIZES.unpack_from(data)
         if directory > max_directory:
             raise self._damaged(f"announces a directory of {directory} bytes")
         end = _SIZES.size + packed
-        inside = self._unpack(memoryview(data)[_SIZES.size : end], directory + -directory % ALIGNMENT + integers)
+        start = directory + -directory % ALIGNMENT
+        inside = self._unpack(memoryview(data)[_SIZES.size : end], start + sum(sizes))
         table = self._decode(_Directory, inside[:directory], None)
         self._sections, self._arrays = table.sections, table.arrays
-        self._integers = inside[len(inside) - integers :]
-        self._floats = memoryview(data)[end + -end % ALIGNMENT :]
+        self._integers, self._tops, self._singles = (
+            inside[start + sum(sizes[:k]) : start + sum(sizes[: k + 1])] for k in range(len(sizes))
+        )
+        self._rests = memoryview(data)[end:]
         self.cost = len(data) + len(inside) + 8 * directory
         """Bytes that it and what is decoded from it may occupy."""
 
     def _unpack(self, packed: memoryview, size: int) -> memoryview:
         if size > _MAX_UNPACKED:
-            raise self._damaged(f"announces {size} bytes of integers")
+            raise self._damaged(f"announces {size} bytes")
         try:
             inside = zlib.decompressobj().decompress(packed, size + 1)
         except zlib.error as problem:
@@ -193,14 +212,31 @@ class Blob:
         spec = self._arrays[index]
         if spec.dtype not in DTYPES or len(spec.shape) > 8 or min(spec.shape, default=0) < 0 or spec.offset < 0:
             raise self._damaged(f"describes array {index} wrongly")
-        data = self._integers if _is_integer(spec.dtype) else self._floats
         count = prod(spec.shape)
-        if spec.offset + count * np.dtype(spec.dtype).itemsize > len(data):
-            raise self._damaged(f"ends before its array {index}")
-        if count == 0:
-            return np.zeros(spec.shape, spec.dtype)
-        flat = np.frombuffer(data, spec.dtype, count, spec.offset)
+        flat = self._flat(index, spec, count)
+        flat.flags.writeable = False
         return flat.reshape(spec.shape, order="F" if spec.fortran else "C")
+
+    def _flat(self, index: int, spec: _Spec, count: int) -> np.ndarray:
+        """The values of an array, one after the other."""
+        if count == 0:
+            return np.zeros(0, spec.dtype)
+        if spec.dtype == "<f8":
+            rest, top = (
+                self._take(index, pool, spec, count, k) for pool, k in ((self._rests, _REST), (self._tops, _TOP))
+            )
+            return np.concatenate([rest, top]).T.copy().view(spec.dtype).ravel()
+        if spec.dtype == "<f4":
+            return self._take(index, self._singles, spec, count, 4).T.copy().view(spec.dtype).ravel()
+        if spec.offset + count * np.dtype(spec.dtype).itemsize > len(self._integers):
+            raise self._damaged(f"ends before its array {index}")
+        return np.frombuffer(self._integers, spec.dtype, count, spec.offset)
+
+    def _take(self, index: int, pool: memoryview, spec: _Spec, count: int, ranks: int) -> np.ndarray:
+        """(ranks, count) uint8"""
+        if (spec.offset + count) * ranks > len(pool):
+            raise self._damaged(f"ends before its array {index}")
+        return np.frombuffer(pool, np.uint8, count * ranks, spec.offset * ranks).reshape(ranks, count)
 
     def _decode(self, kind: type[T], data: Any, hook: Any) -> T:
         try:
