@@ -176,7 +176,7 @@ def test_a_thousand_forgeries_never_crash_the_reader(run: Path) -> None:
 def bomb(directory: int, integers: int = 0) -> bytes:
     """A small blob that unpacks to much."""
     packed = zlib.compress(bytes(directory + integers), 9)
-    return _SIZES.pack(len(packed), directory, integers) + packed
+    return _SIZES.pack(len(packed), directory, integers, 0, 0) + packed
 
 
 @pytest.mark.parametrize("sizes", [(MAX_DIRECTORY + 1, 0), (16, 2**26)])
