@@ -1,18 +1,19 @@
 """The visual residual: a landmark anchored in a camera of frame i, seen again, by whichever camera, in frame j.
 
-With the anchor's ray f_i scaled to z = 1, the inverse depth lambda = 1/z and p_c the landmark in the camera that sees
-it again, there are three kinds (REFERENCE O11):
+With b_i the anchor's ray scaled to z = 1 (or of unit length where it has no place on the normalised plane, see
+geometry/inverse_depth.py), lambda the inverse depth and p_c the landmark in the camera that sees it again, there are
+three kinds (REFERENCE O11):
 
-    mono    p_c = T_b_c^-1  T_w_bj^-1 T_w_bi T_b_c  (f_i / lambda)     the same camera in another frame
-    cross   p_c = T_b_c2^-1 T_w_bj^-1 T_w_bi T_b_c1 (f_i / lambda)     another camera in another frame
-    same    p_c = T_b_c2^-1 T_b_c1 (f_i / lambda)                      another camera in the same frame
+    mono    p_c = T_b_c^-1  T_w_bj^-1 T_w_bi T_b_c  (b_i / lambda)     the same camera in another frame
+    cross   p_c = T_b_c2^-1 T_w_bj^-1 T_w_bi T_b_c1 (b_i / lambda)     another camera in another frame
+    same    p_c = T_b_c2^-1 T_b_c1 (b_i / lambda)                      another camera in the same frame
 
     plane:   r = (p_c.xy / p_c.z - f_j.xy / f_j.z) / sigma                         (REFERENCE O4)
     sphere:  r = [b_1 b_2]' (p_c / |p_c| - f_j) / sigma                            (seed 000.3.3.3)
 
 where b_1, b_2 span the tangent plane of the unit sphere at the measured ray f_j.  Both do not change when p_c is
 scaled, so the chain carries lambda p_c in homogeneous form: lambda = 0 is a point at infinity, nothing divides by it.
-The sphere form takes any ray f_j, the plane form needs f_j.z > 0; the anchor needs f_i.z > 0 in both.
+The sphere form takes any ray f_j, the plane form needs f_j.z > 0.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from ..geometry.inverse_depth import bearing
 from .factor import Block, Factor, pose, vector
 from .symbolic import Pose
 
@@ -35,11 +37,11 @@ CROSS_BLOCKS = (*BLOCKS[:2], pose("extrinsic_i"), pose("extrinsic_j"), BLOCKS[3]
 SAME_BLOCKS = CROSS_BLOCKS[2:]
 
 
-def _point_in_camera_j(values: list, anchor_xy: ca.SX) -> ca.SX:
+def _point_in_camera_j(values: list, anchor: ca.SX) -> ca.SX:
     """lambda p_c, (3,)."""
     *poses, inv_depth = values
     extrinsics = poses[2:] or poses  # of one camera, or of two; `same` has no other poses
-    point = extrinsics[0].act(ca.vertcat(anchor_xy, 1), inv_depth)
+    point = extrinsics[0].act(anchor, inv_depth)
     if len(poses) > 2:
         pose_i, pose_j = poses[:2]
         assert isinstance(pose_i, Pose)
@@ -48,21 +50,21 @@ def _point_in_camera_j(values: list, anchor_xy: ca.SX) -> ca.SX:
 
 
 def _plane(values: list, data: ca.SX) -> ca.SX:
-    anchor_xy, observed_xy, sqrt_info = ca.vertsplit(data, [0, 2, 4, 5])
-    p = _point_in_camera_j(values, anchor_xy)
+    anchor, observed_xy, sqrt_info = ca.vertsplit(data, [0, 3, 5, 6])
+    p = _point_in_camera_j(values, anchor)
     return sqrt_info * (p[:2] / p[2] - observed_xy)
 
 
 def _sphere(values: list, data: ca.SX) -> ca.SX:
-    anchor_xy, b1, b2, sqrt_info = ca.vertsplit(data, [0, 2, 5, 8, 9])
-    p = _point_in_camera_j(values, anchor_xy)
+    anchor, b1, b2, sqrt_info = ca.vertsplit(data, [0, 3, 6, 9, 10])
+    p = _point_in_camera_j(values, anchor)
     return sqrt_info * ca.vertcat(ca.dot(b1, p), ca.dot(b2, p)) / ca.norm_2(p)
 
 
 def _both_forms(suffix: str, blocks: tuple[Block, ...]) -> dict[str, Factor]:
     return {
-        "plane": Factor(f"reprojection_plane{suffix}", blocks, 5, _plane),
-        "sphere": Factor(f"reprojection_sphere{suffix}", blocks, 9, _sphere),
+        "plane": Factor(f"reprojection_plane{suffix}", blocks, 6, _plane),
+        "sphere": Factor(f"reprojection_sphere{suffix}", blocks, 10, _sphere),
     }
 
 
@@ -94,7 +96,7 @@ def measurement(form: str, rays_i: np.ndarray, rays_j: np.ndarray, sqrt_info: fl
     `rays_i`, `rays_j` (n, 3) are unit rays in the anchoring and in the observing camera; `sqrt_info` is 1/sigma of a
     normalised coordinate (plane) or of an angle in radians (sphere): FOCAL_PX / (sigma in px460).
     """
-    anchor = rays_i[:, :2] / rays_i[:, 2:]
+    anchor = bearing(rays_i)
     scale = np.full((1, len(rays_i)), sqrt_info)
     if form == "plane":
         return np.concatenate([anchor.T, (rays_j[:, :2] / rays_j[:, 2:]).T, scale])

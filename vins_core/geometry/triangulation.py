@@ -11,16 +11,17 @@ A point is behind a camera or at infinity when the rays say so: signs, bounds an
 
 import numpy as np
 
-from . import se3
+from . import inverse_depth, se3
 
 
 def triangulate_tracks(
     T_w_c: np.ndarray, track: np.ndarray, slot: np.ndarray, rays: np.ndarray, anchor_slot: np.ndarray
 ) -> np.ndarray:
-    """Depths along z of the anchor cameras of m tracks, (m,) metres; negative behind the camera.
+    """Depths of m tracks in their anchor cameras (inverse_depth.py), (m,) metres; negative behind the camera.
 
     T_w_c (k, 4, 4): camera poses; track (N,), slot (N,): row of the track and of the pose of each observation;
-    rays (N, 3): unit rays in the observing camera; anchor_slot (m,): the camera in which depth is measured.
+    rays (N, 3): unit rays in the observing camera; anchor_slot (m,): the camera in which depth is measured,
+    along its own ray of the track if it has one.
     A track observes a slot at most once.  NaN for tracks with fewer than two observations; what comes out without
     parallax is arbitrary.
     """
@@ -29,8 +30,11 @@ def triangulate_tracks(
     equations = np.zeros((m, k, 3, 4))
     equations[track, slot] = _equations(T_c_a[slot, anchor_slot[track]], rays)
     X = _null_vectors(equations.reshape(m, 3 * k, 4))
+    anchor_rays = np.tile([0.0, 0.0, 1.0], (m, 1))
+    own = slot == anchor_slot[track]
+    anchor_rays[track[own]] = rays[own]
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth = X[:, 2] / X[:, 3]
+        depth = inverse_depth.depth(anchor_rays, X[:, :3]) / X[:, 3]
     return np.where(np.bincount(track, minlength=m) >= 2, depth, np.nan)
 
 

@@ -12,7 +12,7 @@ from itertools import islice
 import numpy as np
 
 from ..factors.preintegration import Preintegration, repropagate
-from ..geometry import se3, so3
+from ..geometry import inverse_depth, se3, so3
 from ..params import Params
 from ..report import InitReport, InitStage
 from ..sensors import Calibration, ImuNoise
@@ -167,7 +167,8 @@ def _landmarks(
     table = restrict(Landmarks.empty(), frames)
     anchor = np.argmax(tracks.seen[rows], axis=1)
     Ts_w_c = se3.from_rotation_translation(motion.structure.R, motion.structure.p) @ T_b_c
-    depth = se3.transform(se3.inverse(Ts_w_c)[anchor], motion.structure.points)[:, 2]
+    points_c = se3.transform(se3.inverse(Ts_w_c)[anchor], motion.structure.points)
+    depth = inverse_depth.depth(tracks.rays[rows, anchor], points_c)
     known = rows[depth > min_depth]
     table.inv_depth[known] = 1.0 / depth[depth > min_depth]
     table.status[known] = TRIANGULATED

@@ -8,7 +8,7 @@ from threading import Lock
 
 import numpy as np
 
-from ..geometry import se3
+from ..geometry import inverse_depth, se3
 from ..geometry.camera import CameraModel
 from ..window.assemble import gather_tracks
 from ..window.landmarks import camera_poses
@@ -99,7 +99,7 @@ def landmarks_seen(window: WindowState, slot: int) -> tuple[np.ndarray, np.ndarr
     usable = (inv_depth > 0) & (tracks.anchor < slot)
     usable &= np.isin(tracks.ids, window.frames[slot].observations.ids, assume_unique=True)
     rays = tracks.rays[tracks.start[:-1]][usable]
-    points_c = rays / (rays[:, 2:] * inv_depth[usable, None])
+    points_c = inverse_depth.point(rays, inv_depth[usable])
     return tracks.ids[usable], se3.transform(camera_poses(window)[tracks.anchor[usable]], points_c)
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
-from ..geometry import se3, so3
+from ..geometry import inverse_depth, se3, so3
 from . import schur
 from .linearize import Linearizer, NormalEquations, layout_of
 from .problem import States, WindowProblem
@@ -136,7 +136,7 @@ def _in_world(
     for table in problem.tables:
         anchor[table.landmark], ray[table.landmark] = table.anchor, table.rays_i
     T_b_c = se3.from_quaternion_translation(states.extrinsics[camera, 3:], states.extrinsics[camera, :3])
-    x_c = ray / (ray[:, 2:] * states.inv_depths[:, None])
+    x_c = inverse_depth.point(ray, states.inv_depths)
     x_b = se3.transform(T_b_c, x_c)
     R = so3.to_matrix(states.poses[anchor, 3:])
     from_camera = np.einsum("kij,kj->ki", R, x_b - T_b_c[:3, 3])

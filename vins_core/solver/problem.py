@@ -26,7 +26,7 @@ class States:
     poses: np.ndarray  # (n + places, 7) p_w_b, q_w_b wxyz
     speed_biases: np.ndarray  # (n, 9) v_w_b, b_a, b_g
     extrinsics: np.ndarray  # (cameras, 7) p_b_c, q_b_c
-    inv_depths: np.ndarray  # (M,) 1/m along z of the anchor camera
+    inv_depths: np.ndarray  # (M,) 1/m in the anchor camera (geometry/inverse_depth.py)
 
     def value(self, variable: Variable) -> np.ndarray:
         tables = {"pose": self.poses, "speed_bias": self.speed_biases, "extrinsic": self.extrinsics}

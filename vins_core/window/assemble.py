@@ -14,15 +14,13 @@ import numpy as np
 from ..factors.reprojection import FOCAL_PX, Kind
 from ..factors.robust import Loss
 from ..geometry import so3
+from ..geometry.inverse_depth import MIN_RAY_Z
 from ..params import Params
 from ..report import SolveReport
 from ..solver.layout import Variable
 from ..solver.problem import PriorFactor, Projections, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
 from .state import OUTLIER, Landmarks, Observations, WindowFrame, WindowState
-
-MIN_RAY_Z = 0.05
-"""Smallest z of a unit ray that has an inverse depth along z, or a place on the normalised plane."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,6 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         usable &= inv_depth > 0  # False for NaN
     usable &= tracks.count >= params.window.min_observations
     usable &= (tracks.anchor < len(frames) - 3) | tracks.stereo
-    usable &= tracks.rays[tracks.start[:-1], 2] > MIN_RAY_Z
 
     landmark = np.cumsum(usable) - 1
     is_factor = usable[tracks.track]

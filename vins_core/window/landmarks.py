@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry import se3
+from ..geometry import inverse_depth, se3
 from ..geometry.triangulation import triangulate_tracks
 from ..params import Window
 from ..report import LandmarkReport, LossReason, SolveReport
@@ -83,7 +83,7 @@ def report(
     inv_depth, status = table.inv_depth[row], rejected.landmarks.status[row].copy()
     rays = tracks.rays[tracks.start[:-1]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        points_c = rays / (rays[:, 2:] * inv_depth[:, None])
+        points_c = inverse_depth.point(rays, inv_depth)
     xyz = se3.transform(camera_poses(solved)[tracks.anchor], points_c)
     in_solve = np.searchsorted(tracks.ids, assembly.ids)
     sigma_all = np.full(len(tracks.ids), np.nan, np.float32)

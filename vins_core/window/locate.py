@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..factors.reprojection import FOCAL_PX
-from ..geometry import se3, so3
+from ..geometry import inverse_depth, se3, so3
 from ..geometry.pnp import solve_pnp
 from ..params import Params
 from ..report import Gate
@@ -43,8 +43,7 @@ def _landmarks_in_view(window: WindowState, newest: WindowFrame) -> tuple[np.nda
     seen, _, rows = np.intersect1d(known, newest.observations.ids, assume_unique=True, return_indices=True)
     track = np.searchsorted(tracks.ids, seen)
     anchor_rays = tracks.rays[tracks.start[track]]
-    inv_depth = table.inv_depth[np.searchsorted(table.ids, seen)]
-    points_c = anchor_rays / (anchor_rays[:, 2:] * inv_depth[:, None])
+    points_c = inverse_depth.point(anchor_rays, table.inv_depth[np.searchsorted(table.ids, seen)])
     return seen, se3.transform(camera_poses(window)[tracks.anchor[track]], points_c), newest.observations.rays[rows]
 
 

@@ -16,12 +16,13 @@ import numpy as np
 
 from ..factors.reprojection import FOCAL_PX
 from ..geometry import se3, so3
+from ..geometry.inverse_depth import MIN_RAY_Z
 from ..report import RelocalizationReport
 from ..solver.covariance import relative_poses
 from ..solver.linearize import Linearizer
 from ..solver.problem import Projections, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
-from .assemble import MIN_RAY_Z, Assembly
+from .assemble import Assembly
 from .state import WindowState
 
 MIN_FACTORS = 6

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..factors.preintegration import merge
-from ..geometry import se3
+from ..geometry import inverse_depth, se3
 from ..sensors import ImuNoise
 from .state import CANDIDATE, OUTLIER, Landmarks, WindowFrame, WindowState
 
@@ -29,8 +29,7 @@ def drop_oldest(window: WindowState) -> WindowState:
         seen, in_table, _ = np.intersect1d(ids, frame.observations.ids, return_indices=True)
         if len(seen):
             rows = np.flatnonzero(anchored)[in_table]
-            rays = first.observations.rays[np.searchsorted(first.observations.ids, seen)]
-            inv_depth[rows] = _transfer(window.T_b_c[0], first, frame, rays, table.inv_depth[rows])
+            inv_depth[rows] = _transfer(window.T_b_c[0], first, frame, seen, table.inv_depth[rows])
             anchored[rows] = False
     lost_depth = np.isnan(inv_depth) & (status != OUTLIER)
     status[lost_depth] = CANDIDATE
@@ -62,11 +61,12 @@ def restrict(table: Landmarks, frames: tuple[WindowFrame, ...]) -> Landmarks:
 
 
 def _transfer(
-    T_b_c: np.ndarray, old: WindowFrame, new: WindowFrame, rays: np.ndarray, inv_depth: np.ndarray
+    T_b_c: np.ndarray, old: WindowFrame, new: WindowFrame, ids: np.ndarray, inv_depth: np.ndarray
 ) -> np.ndarray:
-    """Inverse depths along rays of the old anchor, expressed in the new one; NaN behind the camera."""
+    """Inverse depths of tracks in the old anchor, expressed in the new one; NaN behind the camera."""
+    rays, rays_new = (o.rays[np.searchsorted(o.ids, ids)] for o in (old.observations, new.observations))
     T_w_old = se3.from_quaternion_translation(old.q_w_b, old.p_w_b) @ T_b_c
     T_w_new = se3.from_quaternion_translation(new.q_w_b, new.p_w_b) @ T_b_c
-    points = rays / (rays[:, 2:] * inv_depth[:, None])
-    z = se3.transform(se3.inverse(T_w_new) @ T_w_old, points)[:, 2]
-    return np.where(z > 0, 1.0 / np.where(z > 0, z, 1.0), np.nan)
+    points = se3.transform(se3.inverse(T_w_new) @ T_w_old, inverse_depth.point(rays, inv_depth))
+    depth = inverse_depth.depth(rays_new, points)
+    return np.where(depth > 0, 1.0 / np.where(depth > 0, depth, 1.0), np.nan)

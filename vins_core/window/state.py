@@ -66,7 +66,7 @@ class Landmarks:
     """Inverse depths of tracks in the first frame of the window that sees them (their anchor)."""
 
     ids: np.ndarray  # (m,) int64, increasing
-    inv_depth: np.ndarray  # (m,) float64, 1/m along z of the anchor camera; NaN when not triangulated
+    inv_depth: np.ndarray  # (m,) float64, 1/m in the anchor camera (geometry/inverse_depth.py); NaN when unknown
     status: np.ndarray  # (m,) uint8, index into LANDMARK_STATUSES
 
     def __len__(self) -> int:

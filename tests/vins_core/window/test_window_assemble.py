@@ -9,7 +9,10 @@ from vins_core.geometry import so3
 from vins_core.params import Params
 from vins_core.solver.levenberg_marquardt import solve
 from vins_core.solver.problem import retract_poses
+from vins_core.solver.solve import solve as trust_region
+from vins_core.window import landmarks
 from vins_core.window.assemble import assemble, gather_tracks, inv_depth_sigma, solve_report, unpack
+from vins_core.window.slide import drop_oldest, restrict
 from vins_core.window.state import OUTLIER, Landmarks
 
 PARAMS = Params()
@@ -72,8 +75,38 @@ def test_rays_across_the_image_plane_need_the_sphere(flight):
     sphere = assemble(settings.replace(PARAMS, {"projection.residual": "sphere"}), window, sw.GRAVITY)
     assert not (plane.problem.projections.observer == 2).any()
     assert (sphere.problem.projections.observer == 2).any()
-    for built in (plane, sphere):  # but no landmark can be anchored there: its depth is along z
-        assert not (built.anchor == 2).any()
+    for built in (plane, sphere):  # as an anchor it serves both: there a landmark has a distance instead of a depth
+        assert (built.anchor == 2).any()
+
+
+@pytest.mark.parametrize("turn_deg", [100.0, 180.0])
+def test_a_camera_mounted_another_way_round_gives_the_same_motion(flight, turn_deg):
+    params = settings.replace(PARAMS, {"projection.residual": "sphere", "window.max_iterations": 30})
+    R = so3.to_matrix(so3.exp(np.radians([turn_deg, 0.0, 0.0])))
+    T_b_c = flight.window.T_b_c.copy()
+    T_b_c[0, :3, :3] = T_b_c[0, :3, :3] @ R
+
+    def turned(frame):
+        return replace(frame, observations=replace(frame.observations, rays=frame.observations.rays @ R))
+
+    def solved(window):
+        empty = replace(window, landmarks=restrict(Landmarks.empty(), window.frames))
+        window = landmarks.triangulate(params.window, empty)
+        built = assemble(params, window, sw.GRAVITY)
+        solution = trust_region(params, built.problem)
+        return unpack(window, built, solution.states), solution.after.total, built.tracks.rays[:, 2]
+
+    straight, cost, _ = solved(flight.window)
+    window = replace(flight.window, T_b_c=T_b_c, frames=tuple(turned(f) for f in flight.window.frames))
+    other, other_cost, z = solved(window)
+    assert (z < 0).mean() > 0.5
+    np.testing.assert_allclose(other_cost, cost, rtol=1e-6)
+    for a, b in zip(straight.frames, other.frames):
+        np.testing.assert_allclose(a.p_w_b, b.p_w_b, atol=1e-5)
+        assert np.linalg.norm(so3.difference(a.q_w_b, b.q_w_b)) < 1e-5
+    for window in (straight, other):  # the oldest leaves: depths find another anchor and stay in front of it
+        slid = drop_oldest(window).landmarks.inv_depth
+        assert (slid[np.isfinite(slid)] > 0).all() and np.isfinite(slid).sum() > 30
 
 
 def test_imu_factors_over_long_intervals_are_left_out(flight):
