@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from vins_core.geometry import se3, so3
+from vins_core.geometry import inverse_depth, se3, so3
 from vins_core.geometry.triangulation import triangulate_pair, triangulate_tracks
 
 
@@ -36,7 +36,8 @@ def test_exact_rays_give_the_exact_depth_whatever_their_direction(direction):
     rng = np.random.default_rng(1)
     T_w_c, points_w = window(rng, direction=direction)
     track, slot, rays, anchor = observe(rng, T_w_c, points_w)
-    truth = se3.transform(se3.inverse(T_w_c[anchor]), points_w)[:, 2]
+    points_c = se3.transform(se3.inverse(T_w_c[anchor]), points_w)
+    truth = inverse_depth.depth(unit(points_c), points_c)
     depth = triangulate_tracks(T_w_c, track, slot, rays, anchor)
     np.testing.assert_allclose(depth, truth, atol=1e-8)
 
