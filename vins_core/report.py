@@ -241,7 +241,7 @@ class LandmarkReport:
 
     ids: np.ndarray  # (m,) int64
     xyz_w: np.ndarray  # (m, 3) float32, NaN for candidates without depth
-    inv_depth: np.ndarray  # (m,) float64, in the anchor camera; NaN without depth
+    inv_depth: np.ndarray  # (m,) float32, in the anchor camera; NaN without depth
     sigma_inv_depth: np.ndarray  # (m,) float32, from the visual information alone (poses held); NaN unknown
     anchor_slot: np.ndarray  # (m,) uint8
     n_obs: np.ndarray  # (m,) uint8

@@ -39,7 +39,7 @@ def bags(n: int, seed: int = 0) -> list[BagOfWords]:
     out = []
     for _ in range(n):
         words, count = np.unique(np.searchsorted(edges, rng.random(POINTS)).clip(0, WORDS - 1), return_counts=True)
-        out.append(BagOfWords(words.astype(np.int32), count / count.sum()))
+        out.append(BagOfWords(words.astype(np.int32), count.astype(np.uint16), count / count.sum()))
     return out
 
 

@@ -75,8 +75,8 @@ def describe_keyframe(
     known = np.searchsorted(seen.ids, ids)
     order = np.concatenate([known, np.setdiff1d(np.arange(len(seen)), known)])
     features = describer(image, seen.uv_px[order], max_corners, usable)
-    rays = np.concatenate([seen.rays[order], camera.lift(features.uv_px[len(order) :])])
-    in_view = np.isfinite(rays).all(1)  # tracks always are: they live where the lens shows something
+    in_view = np.isfinite(camera.lift(features.uv_px)).all(1)  # tracks always are: they live where the lens shows it
+    uv_px = features.uv_px[in_view]
     return LoopKeyframe(
         frame.frame,
         frame.t_ns,
@@ -84,8 +84,8 @@ def describe_keyframe(
         window.T_b_c[0],
         seen.ids[order],
         points_w,
-        features.uv_px[in_view],
-        rays[in_view].astype(np.float32),
+        uv_px,
+        camera.lift(uv_px).astype(np.float32),
         features.descriptors[in_view],
         vocabulary.bag_of(features.descriptors[in_view]),
     )

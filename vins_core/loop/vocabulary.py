@@ -25,6 +25,7 @@ class BagOfWords:
     """An image as DBoW2 sees it: which words, and how much of the image each of them is."""
 
     words: np.ndarray  # (w,) int32, increasing
+    counts: np.ndarray  # (w,) uint16, how often each occurs
     values: np.ndarray  # (w,) float64, positive, of sum 1
 
     def __len__(self) -> int:
@@ -87,10 +88,14 @@ class Vocabulary:
 
     def bag(self, words: np.ndarray) -> BagOfWords:
         """The bag of an image with these words (n,); words without weight say nothing and are left out."""
-        present, count = np.unique(words, return_counts=True)
-        values = count * self.weights[present]
-        present, values = present[values > 0], values[values > 0]
-        return BagOfWords(present.astype(np.int32), values / values.sum() if len(values) else values)
+        present, counts = np.unique(words, return_counts=True)
+        weighty = self.weights[present] > 0
+        return self.weigh(present[weighty].astype(np.int32), counts[weighty].astype(np.uint16))
+
+    def weigh(self, words: np.ndarray, counts: np.ndarray) -> BagOfWords:
+        """The bag of an image in which words (w,), each of some weight, occur so often."""
+        values = counts * self.weights[words]
+        return BagOfWords(words, counts, values / values.sum() if len(values) else values)
 
     def bag_of(self, descriptors: np.ndarray) -> BagOfWords:
         """The bag of an image with these descriptors (n, 32)."""

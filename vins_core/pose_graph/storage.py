@@ -25,7 +25,7 @@ from ..record.codec import Blob, pack
 from .graph import PoseGraph, Session, extend, frozen
 
 FORMAT = "vinspect map"
-SCHEMA = 2
+SCHEMA = 3
 HEADER = "map.json"
 _MAX_HEADER = 1 << 20
 _MAX_PART = 1 << 31

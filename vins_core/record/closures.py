@@ -21,6 +21,7 @@ from ..mapping.maps import check_keyframe
 from ..mapping.places import Places
 from ..pose_graph.graph import Pair, PoseGraph, Session, extend
 from ..report import FrameSummary, KeyframeEntry, LoopEdge
+from .keyframes import KeyframeRecord, complete
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def _mark_graph(graph: PoseGraph) -> GraphMark:
 class RecordedMap:
     """What a run has added to the map it began with, as far as it has been read."""
 
-    def __init__(self, places: Places, load: Callable[[int], LoopKeyframe], where: str) -> None:
+    def __init__(self, places: Places, load: Callable[[int], KeyframeRecord], where: str) -> None:
         """`load`: the keyframe that a frame made; `where` names the file that it is read from."""
         self.places = places
         self._load, self._where = load, where
@@ -128,8 +129,9 @@ class RecordedMap:
         )
 
     def _checked(self, number: int, frame: int) -> LoopKeyframe:
-        keyframe = self._load(frame)
+        record = self._load(frame)
         try:
+            keyframe = complete(record, self.places)
             check_keyframe(number, keyframe, self.places.vocabulary)
         except ValueError as problem:
             raise RunError(f"frame {frame} of {self._where} is damaged: {problem}") from None

@@ -7,9 +7,9 @@ A blob holds named sections (msgpack, typed when decoded) and one table of array
 Integers (ids, stamps, indices) shrink to a sixth in no time.  Of measured floats only sign, exponent and first digits
 do, once bytes of equal rank stand together: of doubles the upper two go to zlib, of singles, often pixels, all four.
 
-An array that occurs twice in a blob is stored once.  Since state is immutable, one that is still the same object as
-in an earlier blob of a series is not stored at all: it is referred to by (blobs back, index).  So a sliding window
-costs what changed, and every field added to the state is recorded without a line of code here.
+An array that occurs twice in a blob, or begins another one, is stored once.  Since state is immutable, one that is
+still the same object as in an earlier blob of a series is not stored at all: it is referred to by (blobs back, index).
+So a sliding window costs what changed, and every field added to the state is recorded without a line of code here.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ _EXT_ARRAY = 1
 _REFERENCE = struct.Struct("<II")  # blobs back, index in that blob's table
 _SIZES = struct.Struct("<IIIII")  # bytes of: the zlib stream; in it the directory, integers, tops, singles
 _TOP, _REST = 2, 6  # bytes of a double
+_BEGINNING = 64  # bytes that two arrays must share at least for one to be the beginning of the other
+_Content = tuple[str, tuple[int, ...], bool, bytes]  # dtype, shape, fortran, bytes in this order
 _MAX_UNPACKED = 64 * 1024 * 1024
 MAX_DIRECTORY = 16 * 1024 * 1024
 """Bytes of msgpack in a blob: objects made of them take up to eight times as much."""
@@ -46,6 +48,7 @@ class _Spec(msgspec.Struct, array_like=True, frozen=True):
     shape: tuple[int, ...]
     offset: int  # bytes from the start of the integers; values from that of the singles or doubles
     fortran: bool = False  # column-major: BLAS may add in another order, so the layout is part of the value
+    run: int = 0  # values in the row of bytes that holds it, when it is the beginning of a longer one
 
 
 class _Directory(msgspec.Struct, array_like=True, frozen=True):
@@ -103,7 +106,8 @@ class _Table:
         self.singles: list[bytes] = []
         self.seen: dict[int, tuple[np.ndarray, int, int]] = {}  # what the shared sections hold: the next ledger
         self._ledger = ledger
-        self._by_content: dict[tuple[str, tuple[int, ...], bool, bytes], int] = {}
+        self._by_content: dict[_Content, int] = {}
+        self._by_beginning: dict[tuple[str, bytes], tuple[_Spec, bytes]] = {}
         self._sizes = {"integers": 0, "<f4": 0, "<f8": 0}
 
     def encode(self, value: Any, own_only: bool) -> bytes:
@@ -134,15 +138,29 @@ class _Table:
         index = self._by_content.get(key)
         if index is None:
             index = self._by_content[key] = len(self.specs)
-            pool = dtype if dtype in self._sizes else "integers"
-            self.specs.append(_Spec(dtype, array.shape, self._sizes[pool], fortran))
-            if pool == "integers":
-                self.integers.append(_aligned(data))
-                self._sizes[pool] += len(self.integers[-1])
-            else:
-                self._split(data, array.dtype.itemsize)
-                self._sizes[pool] += array.size
+            self.specs.append(self._beginning(key) or self._new(key))
         return index
+
+    def _beginning(self, key: _Content) -> _Spec | None:
+        """Where `key` is the beginning of what is stored already."""
+        dtype, shape, fortran, data = key
+        spec, stored = self._by_beginning.get((dtype, data[:_BEGINNING]), (None, b""))
+        if spec is None or len(data) < _BEGINNING or not stored.startswith(data):
+            return None
+        return _Spec(dtype, shape, spec.offset, fortran, prod(spec.shape))
+
+    def _new(self, key: _Content) -> _Spec:
+        dtype, shape, fortran, data = key
+        pool = dtype if dtype in self._sizes else "integers"
+        spec = _Spec(dtype, shape, self._sizes[pool], fortran)
+        if pool == "integers":
+            self.integers.append(_aligned(data))
+            self._sizes[pool] += len(self.integers[-1])
+        else:
+            self._split(data, np.dtype(dtype).itemsize)
+            self._sizes[pool] += prod(shape)
+        self._by_beginning[dtype, data[:_BEGINNING]] = spec, data
+        return spec
 
     def _split(self, data: bytes, itemsize: int) -> None:
         rows = _by_rank(data, itemsize)
@@ -210,7 +228,13 @@ class Blob:
         if index >= len(self._arrays):
             raise self._damaged(f"has no array {index}")
         spec = self._arrays[index]
-        if spec.dtype not in DTYPES or len(spec.shape) > 8 or min(spec.shape, default=0) < 0 or spec.offset < 0:
+        if (
+            spec.dtype not in DTYPES
+            or len(spec.shape) > 8
+            or min(spec.shape, default=0) < 0
+            or spec.offset < 0
+            or spec.run < 0
+        ):
             raise self._damaged(f"describes array {index} wrongly")
         count = prod(spec.shape)
         flat = self._flat(index, spec, count)
@@ -234,9 +258,10 @@ class Blob:
 
     def _take(self, index: int, pool: memoryview, spec: _Spec, count: int, ranks: int) -> np.ndarray:
         """(ranks, count) uint8"""
-        if (spec.offset + count) * ranks > len(pool):
+        run = max(spec.run, count)
+        if (spec.offset + run) * ranks > len(pool):
             raise self._damaged(f"ends before its array {index}")
-        return np.frombuffer(pool, np.uint8, count * ranks, spec.offset * ranks).reshape(ranks, count)
+        return np.frombuffer(pool, np.uint8, run * ranks, spec.offset * ranks).reshape(ranks, run)[:, :count]
 
     def _decode(self, kind: type[T], data: Any, hook: Any) -> T:
         try:

@@ -23,7 +23,7 @@ from ..params import Params
 from ..sensors import Calibration, CameraCalibration
 
 FORMAT = "vinspect run"
-SCHEMA = 2
+SCHEMA = 3
 """Raised when an older reader would misread a record; fields that are only added do not raise it."""
 MAX_HEADER_BYTES = 16 * 1024 * 1024
 _PACKAGES = ("vinspect", "numpy", "scipy", "opencv-python-headless", "casadi", "rosbags", "msgspec")

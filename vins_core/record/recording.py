@@ -342,12 +342,12 @@ class RunReader:
     def _map(self) -> RecordedMap | None:
         if not (self.path / MAP).is_dir():
             return None
-        from ..loop.keyframe import LoopKeyframe
         from ..mapping import maps
         from .closures import RecordedMap
+        from .keyframes import KeyframeRecord
 
         places = maps.load(self.path / MAP, self.header.calibration.cameras[0])
-        return RecordedMap(places, lambda k: self._section(k, "keyframe", LoopKeyframe), str(self.path / FRAMES))
+        return RecordedMap(places, lambda k: self._section(k, "keyframe", KeyframeRecord), str(self.path / FRAMES))
 
     def _read_blob(self, k: int) -> tuple[Blob, int]:
         blob = Blob(self._frames.read(self._blocks[k]), f"frame {k} of {self.path / FRAMES}")
@@ -442,8 +442,10 @@ def state_sections(state: RunState) -> dict[str, Any]:
 
 
 def _newest_keyframe(state: RunState) -> Any:
+    from .keyframes import reduce
+
     assert state.closure is not None
-    return state.closure.loops.keyframes[len(state.closure.loops) - 1]
+    return reduce(state.closure.loops.keyframes[len(state.closure.loops) - 1])
 
 
 def _encode(image: np.ndarray) -> bytes:

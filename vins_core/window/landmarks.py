@@ -99,7 +99,7 @@ def report(
     return LandmarkReport(
         ids=tracks.ids,
         xyz_w=xyz.astype(np.float32),
-        inv_depth=inv_depth,
+        inv_depth=inv_depth.astype(np.float32),
         sigma_inv_depth=sigma_all,
         anchor_slot=tracks.anchor.astype(np.uint8),
         n_obs=tracks.count.astype(np.uint8),

@@ -150,7 +150,7 @@ def random_bags(n, n_words=500, seed=0):
     for size in rng.integers(0, 60, n):
         words = np.sort(rng.permutation(n_words)[:size]).astype(np.int32)
         values = rng.random(size) + 0.01
-        bags.append(BagOfWords(words, values / values.sum() if size else values))
+        bags.append(BagOfWords(words, np.ones(size, np.uint16), values / values.sum() if size else values))
     return bags
 
 
@@ -186,7 +186,7 @@ def test_adding_leaves_the_index_before_as_it_was():
 
 
 def test_an_empty_index_or_bag_scores_nothing():
-    nothing = BagOfWords(np.zeros(0, np.int32), np.zeros(0))
+    nothing = BagOfWords(np.zeros(0, np.int32), np.zeros(0, np.uint16), np.zeros(0))
     assert len(InvertedIndex().scores(random_bags(1)[0])) == 0
     assert InvertedIndex.of([nothing, *random_bags(3)]).scores(nothing).tolist() == [0.0] * 4
 

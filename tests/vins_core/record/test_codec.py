@@ -83,6 +83,18 @@ def test_equal_arrays_are_stored_once_in_a_blob() -> None:
     assert len(pack({"a": Leaf(x), "b": Leaf(x.copy())})) < len(pack({"a": Leaf(x)})) + 100
 
 
+@pytest.mark.parametrize("dtype", ["<f8", "<f4", "<i8", "|u1"])
+def test_the_beginning_of_an_array_costs_next_to_nothing(dtype: str) -> None:
+    long = np.random.default_rng(1).integers(0, 1 << 60, (500, 3)).astype(dtype)
+    if dtype[1] == "f":
+        long /= 7
+    alone, both = pack({"long": long}), pack({"long": long, "short": long[:300]})
+    assert len(both) < len(alone) + 100
+    blob = Blob(both, "x")
+    assert bits(blob.get("long", np.ndarray)) == bits(long)
+    assert bits(blob.get("short", np.ndarray)) == bits(long[:300])
+
+
 def test_an_unchanged_array_is_stored_once_in_a_series_and_found_from_any_distance() -> None:
     same, ledger, series = np.random.default_rng(0).normal(size=1000), Ledger(), []
     for k in range(5):

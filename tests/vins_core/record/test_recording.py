@@ -264,7 +264,7 @@ def edited(document: dict, key: str, value: object) -> str:
     ("key", "value", "message"),
     [
         ("format", "other", "not the header of a run"),
-        ("schema", 99, "record schema 99 but this version reads 2"),
+        ("schema", 99, "record schema 99 but this version reads 3"),
         ("params", {"window.size": 10_000}, "window.size"),
         ("params", {"from.the_future": 1}, "another version"),
         ("params", 5, "damaged"),
