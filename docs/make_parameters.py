@@ -10,7 +10,7 @@ import typing
 from collections.abc import Iterator
 from pathlib import Path
 
-from vins_core.params import AHEAD, OFFERED, Declaration, Params
+from vins_core.params import DECLARATIONS, Declaration, Params
 
 PAGE = Path(__file__).parent / "parameters.md"
 INTRODUCTION = """\
@@ -33,9 +33,7 @@ def page() -> str:
 def _sections() -> Iterator[str]:
     classes = typing.get_type_hints(Params)
     for field in dataclasses.fields(Params):
-        if field.name in AHEAD:
-            continue
-        rows = (_row(d) for key, d in OFFERED.items() if key.startswith(f"{field.name}."))
+        rows = (_row(d) for key, d in DECLARATIONS.items() if key.startswith(f"{field.name}."))
         summary = (classes[field.name].__doc__ or "").strip().split("\n\n")[0]
         yield f"\n## {field.name}\n{summary}\n\n| name | default | range | unit | meaning |\n|---|---|---|---|---|\n"
         yield from rows

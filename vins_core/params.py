@@ -401,9 +401,12 @@ class Gps:
     "Per sqrt(m)" is what a random walk adds over each metre of path.  The preset `parity` is in fusion/presets.py.
     """
 
+    enabled: Annotated[bool, Doc("hold the odometry to the fixes of the recording, where it has any")] = True
     dof: Annotated[
         Literal["4", "6"],
-        Doc("what drifts: position and heading, gravity being known; or roll and pitch too (parity; without an IMU)"),
+        Doc(
+            "what drifts: position and heading, gravity being known; or roll and pitch too (parity; always without IMU)"
+        ),
     ] = "4"
     min_status: Annotated[
         int, Range(-1, 2), Doc("NavSatStatus of a fix: -1 none, 0 fix, 1 satellite, 2 ground augmented (parity: -1)")
@@ -447,7 +450,9 @@ class Gps:
     ] = 0.3
     max_outage_s: Annotated[float, Range(0.1, 1e4), Doc("time since the last fix that counted (advisory)", "s")] = 3.0
     window: Annotated[int, Range(5, 500), Doc("moments with fixes whose poses and verdicts are still open")] = 40
-    lever_arm: Annotated[bool, Doc("mind where the antenna is on the body (parity: off)")] = True
+    lever_arm: Annotated[
+        bool, Doc("mind where the antenna is on the body, p_b_gps of the calibration; off: at its origin (parity: off)")
+    ] = True
     noise: Annotated[
         Literal["path", "frame"],
         Doc("the odometry's error grows with the path, or by the same amount every frame, whatever the rate (parity)"),
@@ -526,14 +531,6 @@ def declarations() -> Iterator[Declaration]:
 
 DECLARATIONS: Mapping[str, Declaration] = types.MappingProxyType({d.key: d for d in declarations()})
 
-AHEAD = ("gps",)
-"""Sections of libraries that no run uses yet: declared, but offered neither as flags nor as knobs."""
-
-OFFERED: Mapping[str, Declaration] = types.MappingProxyType(
-    {key: d for key, d in DECLARATIONS.items() if key.split(".")[0] not in AHEAD}
-)
-"""The parameters of a run."""
-
 
 def get(params: Params, key: str) -> Any:
     section, name = _declaration(key).key.split(".")
@@ -563,10 +560,7 @@ def parse_assignment(text: str) -> tuple[str, str]:
         raise ParameterError(
             f"--set {text!r} is not of the form section.name=value, e.g. --set window.max_iterations=8"
         )
-    key = key.strip()
-    if key in DECLARATIONS and key not in OFFERED:
-        raise ParameterError(f"parameter {key!r} belongs to a stage that runs do not have yet")
-    return key, value.strip()
+    return key.strip(), value.strip()
 
 
 def _declaration(key: str) -> Declaration:

@@ -10,6 +10,9 @@ from .clock import stopwatch
 from .factors.preintegration import preintegrate
 from .frontend.state import TrackerState
 from .frontend.step import track
+from .fusion.stage import fuse
+from .fusion.state import GpsState
+from .fusion.state import restart as restart_gps
 from .initialization import stereo
 from .initialization.step import initialize
 from .mapping import closure as mapping
@@ -56,6 +59,8 @@ class RunState:
     """After a restart: the last healthy pose, which the next initialisation starts from."""
     closure: Closure | None = None
     """What loop closing carries; None where loops are not closed."""
+    gps: GpsState | None = None
+    """What GPS fusion carries; None before the first pose, and where no fixes are fused."""
 
 
 def start(calibration: Calibration, places: Places | None = None) -> RunState:
@@ -72,7 +77,7 @@ def step(
     packet: Packet,
     places: Places | None = None,
 ) -> tuple[RunState, FrameReport, Timings]:
-    """Track, `advance`, then close loops where there are `places`.
+    """Track, `advance`; then close loops where there are `places`, and fuse fixes where there is GPS.
 
     Deterministic: the same arguments give the same state and report, bit for bit.
     """
@@ -93,7 +98,8 @@ def step(
         assert state.closure is not None and previous is not None
         closure, report = mapping.close(params, places, images, state.closure, state.window, previous, report, ms)
         state = replace(state, closure=closure)
-    return state, report, ms
+    gps, report = fuse(params.gps, calibration, state.gps, packet, report, ms)
+    return replace(state, gps=gps), report, ms
 
 
 def advance(
@@ -282,4 +288,6 @@ def _forget(calibration: Calibration, state: RunState, is_keyframe: bool) -> Run
 def _restart(calibration: Calibration, state: RunState, last_healthy: PoseEstimate | None) -> RunState:
     """Forget window and prior, keep the tracks, remember where to continue (SPEC 5.4, unlike REFERENCE F7)."""
     closure = mapping.interrupt(state.closure) if state.closure else None
-    return RunState(state.tracker, _empty_window(calibration), Status.FAILED, resume=last_healthy, closure=closure)
+    gps = restart_gps(state.gps) if state.gps else None
+    window = _empty_window(calibration)
+    return RunState(state.tracker, window, Status.FAILED, resume=last_healthy, closure=closure, gps=gps)

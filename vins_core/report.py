@@ -10,7 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from .sensors import Anomaly, ImageRef
+from .sensors import Anomaly, GpsFix, ImageRef
 
 
 @dataclass(frozen=True)
@@ -542,6 +542,7 @@ class GpsReport:
     scale_sigma: float | None
     n_window: int  # moments with fixes that are still open
     iterations: int  # of the last solve; 0 without one
+    arrived: tuple[GpsFix, ...] = ()  # what came with the frame, judged in it or, when it is ahead, in a later one
 
 
 @dataclass(frozen=True)
@@ -576,11 +577,12 @@ class FrameReport:
     pose: PoseEstimate | None = None
     relocalizations: tuple[RelocalizationReport, ...] = ()  # earlier keyframes that the window saw again
     closure: ClosureReport | None = None  # None before the first keyframe, and where loops are not closed
+    gps: GpsReport | None = None  # None before the first pose, and where no fixes are fused
 
 
 Timings = dict[str, float]
 """Milliseconds per stage of one frame: decode, track, preintegrate, initialize, solve, marginalize, slide, describe,
-loop, graph, record."""
+loop, graph, gps, record."""
 
 
 @dataclass(frozen=True)
@@ -595,6 +597,33 @@ class ClosureSummary:
     drift: np.ndarray  # (7,) by the graph
     fast_drift: np.ndarray | None = None  # (7,) by the newest loop
     n_candidates: int = 0  # earlier keyframes that were looked at
+
+
+@dataclass(frozen=True)
+class FixSummary:
+    """A fix as it was judged when it came."""
+
+    t_ns: int
+    verdict: FixVerdict
+    failed: tuple[str, ...]  # names of the gates that it did not pass
+    z_e: np.ndarray | None  # (3,)
+    covariance: np.ndarray | None  # (3, 3)
+
+
+@dataclass(frozen=True)
+class GpsSummary:
+    """What a frame said of GPS: enough to draw the whole run, and to smooth it (fusion/conclusion.py)."""
+
+    status: GpsStatus
+    arrived: tuple[GpsFix, ...]
+    fixes: tuple[FixSummary, ...]
+    revised: tuple[FixRevision, ...]
+    origin: np.ndarray | None  # (3,)
+    T_e_b: np.ndarray | None  # (7,)
+    T_e_o: np.ndarray | None  # (7,)
+    yaw_deg: float | None
+    yaw_sigma_deg: float | None
+    outage_s: float | None  # since the last fix that counted; None before the first
 
 
 @dataclass(frozen=True)
@@ -623,6 +652,7 @@ class FrameSummary:
     degeneracy: str = ""  # "" or which motion the window is missing
     yaw_information: float | None = None  # what the prior made in this frame claims to know of yaw, 1/rad^2
     closure: ClosureSummary | None = None
+    gps: GpsSummary | None = None
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
@@ -653,6 +683,25 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         degeneracy=report.health.degeneracy if report.health else "",
         yaw_information=float(margin.gauge_information[3]) if margin and margin.kind != "none" else None,
         closure=_summarize_closure(report.closure) if report.closure else None,
+        gps=_summarize_gps(report.gps) if report.gps else None,
+    )
+
+
+def _summarize_gps(report: GpsReport) -> GpsSummary:
+    return GpsSummary(
+        status=report.status,
+        arrived=report.arrived,
+        fixes=tuple(
+            FixSummary(f.t_ns, f.verdict, tuple(g.name for g in f.gates if not g.passed), f.z_e, f.covariance)
+            for f in report.fixes
+        ),
+        revised=report.revised,
+        origin=report.origin,
+        T_e_b=report.T_e_b,
+        T_e_o=report.T_e_o,
+        yaw_deg=report.yaw_deg,
+        yaw_sigma_deg=report.yaw_sigma_deg,
+        outage_s=next((g.value for g in report.gates if g.name == "outage_s"), None),
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from . import params as parameters
 from .errors import ParameterError
+from .fusion import available
 from .io import modes
 from .io.calibration import read_calibration
 from .io.modes import Mode
@@ -71,6 +72,9 @@ def run_recording(
         params, origins = choose_parameters(given.overrides, assignments, from_file)
         mode = modes.choose(source, given.calibration, mode)
         calibration, unused = modes.prepare(given.calibration, mode)
+        gps_topics = source.topics_of("gps")
+        calibration = available.choose_topic(calibration, gps_topics)
+        no_gps = available.missing(params.gps, calibration, gps_topics)
         arriving = packets(source, calibration, params, start_s, duration_s)
         first = next(arriving)  # what is wrong with the recording is told before a folder is made
         places = _places(params, calibration, source, vocabulary, brief_pattern, map_folder)
@@ -87,7 +91,7 @@ def run_recording(
             expected_frames=_expect_frames(source, params, start_s, duration_s),
             backend=chosen.name,
             embedded_images=embed_images,
-            notes=(*given.notes, *unused),
+            notes=(*given.notes, *unused, *no_gps),
         )
         with backends.using(chosen), RunWriter(out, header, source.truth(), source, places) as writer:
             arriving = itertools.chain([first], arriving)
@@ -142,9 +146,9 @@ def choose_parameters(
 
 def _topics(source: Recording) -> dict[str, str]:
     named = {f"cam{i}": topic for i, topic in enumerate(source.image_topics)}
-    truth = source.truth_topic
     imu = {"imu": source.imu_topic} if source.choice.has_imu else {}
-    return named | imu | ({"truth": truth} if truth else {})
+    others = {"gps": source.gps_topic, "truth": source.truth_topic}
+    return named | imu | {name: topic for name, topic in others.items() if topic}
 
 
 def _expect_frames(source: Recording, params: Params, start_s: float, duration_s: float | None) -> int | None:

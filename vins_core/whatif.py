@@ -67,7 +67,7 @@ def resolve(
 
 def without_map(report: FrameReport) -> FrameReport:
     """What front end and estimator said of a frame."""
-    return replace(report, relocalizations=(), closure=None)
+    return replace(report, relocalizations=(), closure=None, gps=None)
 
 
 def needs_frontend(changes: dict[str, object]) -> bool:

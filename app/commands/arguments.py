@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from vins_core.params import OFFERED, Declaration
+from vins_core.params import DECLARATIONS, Declaration
 
 Recording = Positional[
     Annotated[Path, arg(metavar="RECORDING", help="ROS 1 .bag, ROS 2 bag (folder, .db3, .mcap), EuRoC or KITTI folder")]
@@ -39,7 +39,7 @@ Settings = Annotated[
         name="set",
         metavar="SECTION.NAME=VALUE",
         help="a parameter, winning over the calibration file's; with their defaults these are:\n"
-        + "\n".join(describe(d) for d in OFFERED.values())
+        + "\n".join(describe(d) for d in DECLARATIONS.values())
         + "\n",
     ),
 ]
@@ -66,6 +66,9 @@ ModeWish = Annotated[
     arg(help="which sensors to use; by default most of what recording and calibration offer (`vinspect info` lists)"),
 ]
 Trajectory = Annotated[
-    Literal["odometry", "optimized"],
-    arg(help="every frame as the odometry had it, or the keyframes with all loops closed"),
+    Literal["odometry", "optimized", "global", "global_live"],
+    arg(
+        help="every frame as the odometry had it; the keyframes with all loops closed; with GPS, in metres east, north "
+        "and up of the first fix: all frames held to all fixes, or each as it was at its own time"
+    ),
 ]

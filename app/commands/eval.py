@@ -56,9 +56,16 @@ def evaluate(
 def trajectory_of(reader: RunReader, choice: Choice) -> Trajectory:
     """The poses that are asked for."""
     from vins_core.evaluation.evaluate import run_trajectory
+    from vins_core.fusion.conclusion import global_trajectory
     from vins_core.mapping.conclusion import optimized_trajectory
 
-    return optimized_trajectory(reader) if choice == "optimized" else run_trajectory(reader.summaries)
+    match choice:
+        case "optimized":
+            return optimized_trajectory(reader)
+        case "global" | "global_live":
+            return global_trajectory(reader, live=choice == "global_live")
+        case _:
+            return run_trajectory(reader.summaries)
 
 
 def _truth(reader: RunReader, file: Path | None) -> Trajectory:

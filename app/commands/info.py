@@ -68,6 +68,8 @@ def _print(found: RecordingInfo, backend: str) -> None:
         console.print(f"  and {total - SHOWN} more; see --json", highlight=False)
     for mode in found.modes:
         console.print(f"{mode.mode}: {_possible(mode)}", highlight=False, soft_wrap=True)
+    if found.gps:
+        console.print(escape(found.gps), highlight=False, soft_wrap=True)
     console.print(f"back end: {escape(backend)}", highlight=False, soft_wrap=True)
 
 
@@ -76,8 +78,7 @@ def _possible(mode: ModeInfo) -> str:
 
     if mode.missing:
         return f"needs {' and '.join(mode.missing)}"
-    gps = ", GPS fixes are there" if mode.gps else ""
-    return f"possible{gps}" + ("" if mode.mode in SUPPORTED else "; not supported yet")
+    return "possible" + ("" if mode.mode in SUPPORTED else "; not supported yet")
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -11,7 +11,7 @@ from vins_core import params as parameters
 from vins_core.loop.rejudge import LIMITS
 from vins_core.mapping.counterfactual import ClosedPair, Prediction, Remedy
 from vins_core.mapping.truth import Place, Truth
-from vins_core.params import DECLARATIONS, OFFERED
+from vins_core.params import DECLARATIONS
 from vins_core.report import Gate, LoopCandidate, LoopOutcome
 
 from ..context import PanelContext, RunView
@@ -68,7 +68,7 @@ def backdrop(ctx: PanelContext) -> str:
     seen = ctx.experiment
     if seen is None:
         return tag("div", cls="vi")
-    known = [d for d in OFFERED.values() if d.key.startswith("loop.") and d.key != "loop.enabled"]
+    known = [d for d in DECLARATIONS.values() if d.key.startswith("loop.") and d.key != "loop.enabled"]
     order = {name: k for k, name in enumerate((*FIRST, *sorted(LIMITS - set(FIRST))))}
     known.sort(key=lambda d: order.get(d.key.split(".")[1], len(order)))
     rows = (knob(d, parameters.get(seen.params, d.key), parameters.get(seen.reference, d.key)) for d in known)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from vins_core.params import OFFERED, Declaration, Params, get
+from vins_core.params import DECLARATIONS, Declaration, Params, get
 
 from ..html import Html, tag, text, unit
 from ..tooltips import parameter_tip
@@ -123,7 +123,7 @@ def _choice(declared: Declaration, value: str) -> Html:
 def knobs(params: Params, reference: Params, opened: Iterable[str] = ()) -> Html:
     """Every parameter, grouped by stage; the stages in `opened` and those with changes are unfolded."""
     stages: dict[str, list[Declaration]] = {}
-    for declared in OFFERED.values():
+    for declared in DECLARATIONS.values():
         stages.setdefault(declared.key.split(".")[0], []).append(declared)
     unfolded, groups = set(opened), []
     for stage, members in stages.items():

@@ -20,7 +20,7 @@ from app.commands.arguments import describe
 from app.commands.simulate import NAMES
 from vins_core.errors import RunError
 from vins_core.io.trajectory import read_trajectory
-from vins_core.params import OFFERED
+from vins_core.params import DECLARATIONS
 from vins_core.record.recording import RunReader, RunWriter
 from vins_core.simulation.scenarios import SCENARIOS
 
@@ -223,7 +223,7 @@ def test_a_run_that_never_initialised_evaluates_to_no_poses(
 def test_run_help_names_every_parameter(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "--help"]) == 0
     out = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
-    for declared in OFFERED.values():
+    for declared in DECLARATIONS.values():
         assert re.sub(r"\s+", " ", describe(declared))[:40] in out
 
 

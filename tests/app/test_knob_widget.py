@@ -7,14 +7,14 @@ from fake_reports import Markup
 
 from app.tooltips import TIPS
 from app.widgets.knob import STEPS, figures, knob, knobs, place, scale_of
-from vins_core.params import OFFERED, Declaration, Params, replace
+from vins_core.params import DECLARATIONS, Declaration, Params, replace
 
-NUMBERS = [d for d in OFFERED.values() if d.low is not None]
+NUMBERS = [d for d in DECLARATIONS.values() if d.low is not None]
 
 
 def test_every_parameter_appears_once_under_its_stage() -> None:
     html = Markup(knobs(Params(), Params()))
-    assert [e.attributes["data-knob"] for e in html.all("div", cls="vi-knobrow")] == list(OFFERED)
+    assert [e.attributes["data-knob"] for e in html.all("div", cls="vi-knobrow")] == list(DECLARATIONS)
     for group in html.all("details"):
         stage = group.attributes["data-stage"]
         assert all(
@@ -22,7 +22,7 @@ def test_every_parameter_appears_once_under_its_stage() -> None:
         )
 
 
-@pytest.mark.parametrize("declared", OFFERED.values(), ids=lambda d: d.key)
+@pytest.mark.parametrize("declared", DECLARATIONS.values(), ids=lambda d: d.key)
 def test_a_knob_carries_unit_meaning_and_range(declared: Declaration) -> None:
     html = Markup(knob(declared, declared.default, declared.default))
     row = html.one("div", data_knob=declared.key)

@@ -13,7 +13,7 @@ from sample import INITIALISED
 from app.runs import open_path
 from app.server import Server
 from vins_core.io.params_yaml import read_params
-from vins_core.params import OFFERED
+from vins_core.params import DECLARATIONS
 from vins_core.record.recording import RunReader
 
 pytestmark = pytest.mark.browser
@@ -37,10 +37,10 @@ def page(server: Server, open_page: OpenPage) -> Page:
 def test_every_parameter_is_a_knob_and_the_search_finds_them(page: Page) -> None:
     open_tab(page, "What-if")
     rows = page.locator("[data-knob]")
-    expect(rows).to_have_count(len(OFFERED))
+    expect(rows).to_have_count(len(DECLARATIONS))
     page.get_by_label("find a parameter").fill("robust loss")
-    meant = [d for d in OFFERED.values() if "robust loss" in f"{d.key} {d.doc}".lower()]
-    assert 0 < len(meant) < len(OFFERED)
+    meant = [d for d in DECLARATIONS.values() if "robust loss" in f"{d.key} {d.doc}".lower()]
+    assert 0 < len(meant) < len(DECLARATIONS)
     expect(page.locator("[data-knob]:visible")).to_have_count(len(meant))
     expect(page.locator("[data-knob='window.loss_scale']")).to_be_visible()
     page.get_by_label("find a parameter").fill("")

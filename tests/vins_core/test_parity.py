@@ -15,5 +15,7 @@ def test_every_setting_of_parity_differs_from_ours():
 
 def test_every_switch_of_the_estimator_that_names_a_way_back_is_in_it():
     estimator = ("frontend", "imu", "init", "window", "solver")
-    named = {key for key, d in params.OFFERED.items() if key.split(".")[0] in estimator and "(parity: off)" in d.doc}
+    named = {
+        key for key, d in params.DECLARATIONS.items() if key.split(".")[0] in estimator and "(parity: off)" in d.doc
+    }
     assert named and named <= PARITY.keys()

@@ -32,7 +32,7 @@ NEIGHBOURHOOD = 25
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The final trajectory in `e`, east-north-up at the first fix that passed the gates."""
+    """The final trajectory in `e`, east-north-up at `origin`."""
 
     origin: EnuFrame
     t_ns: np.ndarray  # (n,) int64
@@ -55,14 +55,19 @@ class Posed:
 
 
 def smooth(
-    settings: params.Gps, p_b_gps: ArrayLike, t_ns: np.ndarray, T_o_b: np.ndarray, fixes: Sequence[GpsFix]
+    settings: params.Gps,
+    p_b_gps: ArrayLike,
+    t_ns: np.ndarray,
+    T_o_b: np.ndarray,
+    fixes: Sequence[GpsFix],
+    origin: EnuFrame | None = None,
 ) -> Smoothed | str:
     """Frames (n,) with their odometry poses (n, 7) and all fixes; instead of a trajectory, why there is none.
 
-    p_b_gps (3,): where the antenna is on the body, m.
+    p_b_gps (3,): where the antenna is on the body, m.  origin: by default the first fix that passes the gates.
     """
     track, fixes = Track(t_ns, T_o_b), sorted(fixes, key=lambda f: f.t_ns)
-    origin, admissions, nodes = None, [], []
+    admissions, nodes = [], []
     known: set[int] = set()
     for fix in fixes:
         node = min(int(np.searchsorted(t_ns, fix.t_ns)), len(t_ns) - 1)
@@ -72,7 +77,7 @@ def smooth(
             known.add(fix.t_ns)
             nodes.append(node)
     anchors = [a.anchor for a in admissions if a.anchor is not None]
-    if origin is None:
+    if origin is None or not anchors:
         return "no fix passed the gates"
     posed = pose(settings, track, anchors, np.array(nodes))
     if isinstance(posed, str):

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import RecordingError
+from ..fusion import available
+from ..params import Gps
 from ..sensors import Anomaly, Calibration
 from .anomalies import ImuWatch, StampWatch, image_watch
 from .companions import PairWatch
@@ -48,6 +50,7 @@ class RecordingInfo:
     anomalies: tuple[Anomaly, ...]
     counts: dict[str, int]  # anomalies of each kind, also those not listed
     modes: tuple[ModeInfo, ...] = ()
+    gps: str = ""  # whether its fixes can be fused, one sentence; empty where it has none
 
     @property
     def duration_s(self) -> float:
@@ -95,7 +98,22 @@ def inspect(
         _first_of_each(found),
         dict(Counter(a.kind for a in found)),
         inspect_modes(recording, calibration),
+        _gps(recording, calibration),
     )
+
+
+def _gps(recording: Recording, calibration: Calibration | None) -> str:
+    topics = recording.topics_of("gps")
+    if not topics:
+        return ""
+    if calibration is None:
+        return f"GPS: fixes of {' and '.join(topics)}; whether they can be fused, a calibration tells (--calib)"
+    chosen = available.choose_topic(calibration, topics)
+    sentences = available.missing(Gps(), chosen, topics)
+    if sentences or chosen.p_b_gps is None:
+        return " ".join(sentences)
+    place = ", ".join(f"{v:g}" for v in chosen.p_b_gps)
+    return f"GPS: fixes of {chosen.gps_topic} are fused, from an antenna at ({place}) m on the body"
 
 
 def _pairs(recording: Recording, calibration: Calibration | None) -> PairWatch | None:

@@ -163,6 +163,10 @@ class Recording(ABC):
     def depth_topic(self) -> str:
         return self._named("depth", self.choice.depth) if self.choice.depth else self._only("depth")
 
+    def topics_of(self, role: Role) -> tuple[str, ...]:
+        """All that have messages of a role."""
+        return tuple(s.topic for s in self.of_role(role))
+
     def candidates(self, role: Role) -> tuple[Stream, ...]:
         """The streams that could play a role.  Full poses win over bare positions as truth."""
         streams = self.of_role(role)

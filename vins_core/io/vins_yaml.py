@@ -82,10 +82,18 @@ def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
         estimate_td=has_imu and _is_on(keys, "estimate_td"),
         extrinsics=extrinsics,
         gps_topic=keys.text("gps_topic", "the GPS receiver's topic") if keys.content.get("gps_topic") else "",
+        p_b_gps=_antenna(keys),
     )
     overrides = _tuning(keys, notes)
     _note_ignored(keys, notes)
     return calibration, overrides, tuple(notes)
+
+
+def _antenna(keys: Keys) -> tuple[float, float, float] | None:
+    if "p_b_gps" not in keys:
+        return None
+    x, y, z = keys.matrix("p_b_gps", 3, 1, "the GPS antenna in body coordinates in m")[:, 0].tolist()
+    return x, y, z
 
 
 # -- cameras -----------------------------------------------------------------------------------------------------------

@@ -275,6 +275,7 @@ _STAGE_OF = {
     "window": "solve",
     "relocalizations": "loop",
     "closure": "loop",
+    "gps": "gps",
     "pose": "status",  # withdrawn when the estimator has failed; its numbers are those of the window
     "landmarks": "landmarks",
     "health": "health",

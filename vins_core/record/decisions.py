@@ -18,6 +18,7 @@ from ..report import (
     LOSS_REASONS,
     FrameReport,
     Gate,
+    GpsReport,
     InitReport,
     KeyframeReport,
     LandmarkReport,
@@ -41,6 +42,7 @@ STAGES = (
     "marginalization",
     "status",
     "loop",
+    "gps",
 )
 """The order in which a frame goes through them."""
 
@@ -99,6 +101,8 @@ def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
         yield from _marginalization(report.marginalization, params)
     yield Decision("status", "status", str(report.status))
     yield from _loops(report)
+    if report.gps:
+        yield from _gps(report.gps)
 
 
 def _verdict(gates: tuple[Gate, ...]) -> tuple[str, tuple[Gate, ...]]:
@@ -210,6 +214,15 @@ def _loop(report: LoopReport) -> Iterator[Decision]:
         outcome, _ = _verdict(candidate.gates)  # one that is advice here may decide there
         yield Decision("loop", f"candidate {candidate.match}", outcome, candidate.gates)
     yield Decision("loop", "loop with", report.accepted.match if report.accepted else -1)
+
+
+def _gps(report: GpsReport) -> Iterator[Decision]:
+    """The fixes in order of time, then what they led to."""
+    for fix in report.fixes:
+        yield Decision("gps", f"fix at {fix.t_ns} ns", str(fix.verdict), fix.gates)
+    for revision in report.revised:
+        yield Decision("gps", f"earlier fix at {revision.t_ns} ns", str(revision.verdict), knob="gps.max_chi2")
+    yield Decision("gps", "what GPS does", str(report.status), tuple(g for g in report.gates if g.decides))
 
 
 def _eigenvalue(values: np.ndarray, threshold: float, index: int) -> Gate | None:

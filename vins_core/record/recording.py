@@ -6,6 +6,7 @@
     index.log     a block a frame: where it lies in frames.log, and its summary; made again when missing or damaged
     map/          with loops: the map that the run begins with, its vocabulary at least (mapping/maps.py)
     images.log    with --embed-images: the images of each frame, losslessly
+    global.log    with GPS: the final trajectory, written when the run ends (fusion/conclusion.py)
     end.json      written last: how the run ended
 
 The state of every frame comes back bit for bit without replay: see codec.py for how a window costs little.
@@ -36,6 +37,7 @@ from .log import Block, LogReader, LogWriter
 from .recent import MAX_BYTES, Recent
 
 if TYPE_CHECKING:
+    from ..fusion.conclusion import FinalTrack
     from ..loop.keyframe import Keyframes
     from ..mapping.places import Places
     from ..pipeline import RunState
@@ -46,12 +48,13 @@ try:
 except ImportError:  # not on this system: a run that was killed looks like one that still grows
     fcntl = None  # type: ignore[assignment]
 
-HEADER, TRUTH, FRAMES, INDEX, IMAGES, END, MAP = (
+HEADER, TRUTH, FRAMES, INDEX, IMAGES, GLOBAL, END, MAP = (
     "header.json",
     "truth.log",
     "frames.log",
     "index.log",
     "images.log",
+    "global.log",
     "end.json",
     "map",
 )
@@ -97,9 +100,7 @@ class RunWriter:
             with contextlib.suppress(OSError):  # some network folders cannot lock
                 fcntl.flock(self._frames.fileno(), fcntl.LOCK_EX)
         if truth is not None:
-            log = LogWriter(self.path / TRUTH)
-            log.append(pack({"truth": truth}))
-            log.close()
+            self._write_block(TRUTH, {"truth": truth})
         if places is not None:
             from ..mapping import maps
 
@@ -138,6 +139,10 @@ class RunWriter:
     def __len__(self) -> int:
         return self._ledger.blob
 
+    def conclude(self, final: FinalTrack) -> None:
+        """The trajectory that the fixes make of the whole run, once its last frame is there."""
+        self._write_block(GLOBAL, {"final": final})
+
     def close(self, outcome: str = FINISHED) -> None:
         """Ends the run; `outcome` says how, one sentence when it failed."""
         if self._frames.closed:
@@ -166,6 +171,11 @@ class RunWriter:
             raise OutputError(
                 f"{self.path} is not empty; a run is never overwritten: choose another folder or remove it"
             )
+
+    def _write_block(self, name: str, sections: dict[str, Any]) -> None:
+        log = LogWriter(self.path / name)
+        log.append(pack(sections))
+        log.close()
 
     def _write(self, name: str, data: bytes) -> None:
         path = self.path / name
@@ -242,13 +252,17 @@ class RunReader:
     @property
     def truth(self) -> Trajectory | None:
         if self._truth is None and (self.path / TRUTH).is_file():
-            log = LogReader(self.path / TRUTH)
-            payload = next((payload for _, payload in log.scan(0)), None)
-            log.close()
-            if payload is None:
-                raise RunError(f"{self.path / TRUTH} is damaged: its checksum does not match")
-            self._truth = Blob(payload, str(self.path / TRUTH)).get("truth", Trajectory)
+            self._truth = self._read_block(TRUTH).get("truth", Trajectory)
         return self._truth
+
+    @cached_property
+    def final_track(self) -> FinalTrack | None:
+        """What was kept when the run ended; None while it grows, and where no fixes are fused."""
+        if not self.complete or not (self.path / GLOBAL).is_file():
+            return None
+        from ..fusion.conclusion import FinalTrack
+
+        return self._read_block(GLOBAL).get("final", FinalTrack)
 
     def summary(self, k: int) -> FrameSummary:
         return self.summaries[self._number(k)]
@@ -421,6 +435,14 @@ class RunReader:
             return msgspec.convert(headers.unseal(self._small_file(END), END), _End)
         except (RunError, msgspec.MsgspecError):
             return None
+
+    def _read_block(self, name: str) -> Blob:
+        log = LogReader(self.path / name)
+        payload = next((payload for _, payload in log.scan(0)), None)
+        log.close()
+        if payload is None:
+            raise RunError(f"{self.path / name} is damaged: its checksum does not match")
+        return Blob(payload, str(self.path / name))
 
     def _small_file(self, name: str) -> bytes:
         path = self.path / name

@@ -224,6 +224,9 @@ def _gates(report: FrameReport, params: Params) -> Iterator[tuple[str, str, Gate
         yield from (("solve", "step", g) for g in gates)
     if report.health:
         yield from (("health", "health", g) for g in report.health.gates)
+    if report.gps:
+        yield from (("gps", "GPS fix", g) for fix in report.gps.fixes for g in fix.gates)
+        yield from (("gps", "GPS alignment", g) for g in report.gps.gates)
 
 
 def _flips(before: Column, after: Column) -> Flips:

@@ -10,7 +10,7 @@ from ..io.anomalies import StampWatch
 from ..io.messages import ImuMessage
 from ..io.sync import FrequencyControl, ImuQueue
 from ..params import Frontend
-from ..sensors import Anomaly, ImageRef, Packet
+from ..sensors import Anomaly, GpsFix, ImageRef, Packet
 
 
 def regroup(
@@ -28,6 +28,7 @@ def regroup(
         control.is_due(last_frame_ns)
     images: list[ImageRef] = []
     anomalies: list[Anomaly] = []
+    fixes: list[GpsFix] = []
     for packet in packets:
         if watch is None:
             period_ns = float(np.median(np.diff(packet.imu.t_ns))) if len(packet.imu) > 1 else 0.0
@@ -36,6 +37,7 @@ def regroup(
             if watch.see(t_ns):  # not so the first sample, which is the last of the packet before
                 queue.append(ImuMessage(t_ns, "", gyro, accel), watch.after_gap)
         anomalies += packet.anomalies
+        fixes += packet.gps
         inertial = len(packet.imu) > 0
         for image, right in packet.pairs:
             images += [image] if right is None else [image, right]
@@ -43,5 +45,6 @@ def regroup(
             if control.is_due(image.t_ns) and not (inertial and queue.in_gap(t_imu_ns)):
                 control.publish(image.t_ns)
                 imu = queue.cut(t_imu_ns) if inertial else packet.imu
-                yield Packet(number, tuple(images), imu, tuple(anomalies))
-                number, images, anomalies = number + 1, [], []
+                arrived = tuple(f for f in fixes if f.t_ns <= t_imu_ns)
+                yield Packet(number, tuple(images), imu, tuple(anomalies), arrived)
+                number, images, anomalies, fixes = number + 1, [], [], fixes[len(arrived) :]

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..clock import stopwatch
+from ..fusion import conclusion
 from ..mapping.places import Places
 from ..pipeline import RunState, step
 from ..report import FrameSummary, Timings, summarize
 from ..sensors import ImageRef, ImageSource, Packet
 from .header import RunHeader
-from .recording import FINISHED, INTERRUPTED, RunWriter
+from .recording import FINISHED, INTERRUPTED, RunReader, RunWriter
 
 
 @dataclass(frozen=True)
@@ -60,10 +61,20 @@ def estimate(
         poses += report.pose is not None
         progress(Progress(len(writer), header.expected_frames, poses, summarize(report, ms)))
         if cancelled():
-            writer.close(INTERRUPTED)
-            return Result(len(writer), poses, False, header.notes)
-    writer.close(FINISHED)
-    return Result(len(writer), poses, True, header.notes)
+            return _end(writer, header, INTERRUPTED, poses)
+    return _end(writer, header, FINISHED, poses)
+
+
+def _end(writer: RunWriter, header: RunHeader, outcome: str, poses: int) -> Result:
+    """Hold the whole run to its fixes, where it has any; close the record."""
+    notes = header.notes
+    with RunReader(writer.path) as run:
+        if conclusion.has_fixes(run.summaries):
+            final = conclusion.smooth_run(header, run.summaries)
+            writer.conclude(final)
+            notes += final.notes
+    writer.close(outcome)
+    return Result(len(writer), poses, outcome == FINISHED, notes)
 
 
 class _TimedImages:

@@ -12,7 +12,7 @@ more).  Deterministic by seed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,6 +20,7 @@ from scipy.interpolate import CubicSpline
 from ..fusion.geodesy import EnuFrame
 from ..geometry import heading, poses, so3
 from ..sensors import GpsFix
+from .receiver import START, Receiver, measure
 
 TICK_S = 0.01
 """Truth is laid out this finely."""
@@ -36,22 +37,11 @@ class OdometryError:
 
 
 @dataclass(frozen=True)
-class Receiver:
-    rate_hz: float = 5.0
-    first_s: float = 0.03  # stamp of the first fix: none falls on a frame
-    sigma_m: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    p_b_gps: tuple[float, float, float] = (0.6, 0.0, 0.8)  # 1 m from the body
-    outlier_share: float = 0.05
-    outlier_m: float = 10.0  # the smallest; beyond it exponential with the same mean
-    outage_s: tuple[float, float] = (45.0, 75.0)
-
-
-@dataclass(frozen=True)
 class Road:
     length_m: float = 1000.0
     speed_m_s: float = 10.0
     frame_hz: float = 10.0
-    start: EnuFrame = field(default_factory=lambda: EnuFrame(48.137, 11.575, 519.0))
+    start: EnuFrame = START
 
 
 @dataclass(frozen=True)
@@ -165,17 +155,5 @@ def _fixes(
 ) -> tuple[tuple[GpsFix, ...], np.ndarray]:
     period = round(1.0 / (receiver.rate_hz * TICK_S))
     at = np.arange(round(receiver.first_s / TICK_S), len(t_s) - 1, period)
-    draws = rng.normal(size=(len(at), 3)), rng.random((len(at), 3))
-    outlier = draws[1][:, 0] < receiver.outlier_share
-    far = receiver.outlier_m * (1.0 - np.log1p(-draws[1][:, 1]))
-    angle = 2 * np.pi * draws[1][:, 2]
-    off = np.where(outlier, far, 0.0)[:, None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     antenna = truth[at, :3] + so3.rotate(truth[at, 3:], np.array(receiver.p_b_gps))
-    measured = np.stack(road.start.to_geodetic(antenna + draws[0] * receiver.sigma_m + off), 1)
-    heard = ~((t_s[at] >= receiver.outage_s[0]) & (t_s[at] <= receiver.outage_s[1]))
-    covariance = np.diag(np.square(receiver.sigma_m))
-    fixes = tuple(
-        GpsFix(round(t * 1e9), lat, lon, alt, covariance, 0)
-        for t, (lat, lon, alt) in zip(t_s[at[heard]].tolist(), measured[heard].tolist())
-    )
-    return fixes, outlier[heard]
+    return measure(receiver, t_s[at], antenna, road.start, rng, rng)

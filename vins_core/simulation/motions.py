@@ -56,6 +56,20 @@ def loop(start_s: float = REST_S, period_s: float = LOOP_PERIOD_S) -> Channels:
     return channels
 
 
+def drive(radii_m: tuple[float, float], period_s: float, height_m: float, start_s: float = REST_S) -> Channels:
+    """A vehicle on an ellipse, turning left, with its nose along the way, on a road that is not quite even."""
+
+    def channels(t_s: np.ndarray) -> np.ndarray:
+        angle = 2 * np.pi * run_up(t_s, start_s, 2 * RISE_S) / period_s
+        a, b = radii_m
+        yaw = np.unwrap(np.arctan2(b * np.cos(angle), -a * np.sin(angle)))
+        path = np.stack([a * np.cos(angle), b * np.sin(angle), np.full_like(angle, height_m), yaw], -1)
+        bumps = np.array([0.0, 0.0, 0.25, 0.0, 0.15, 0.15]) * sway(t_s)
+        return np.hstack([path, np.zeros((len(t_s), 2))]) + switch_on(t_s, start_s, 2 * RISE_S)[:, None] * bumps
+
+    return channels
+
+
 def standstill() -> Channels:
     """On a tripod: nothing moves."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,9 @@ import numpy as np
 from ..errors import ParameterError
 from ..geometry import se3, so3
 from ..io.calibration import Settings
-from ..io.messages import ImageMessage, ImuMessage, Message, TruthMessage
-from ..sensors import Calibration, CameraCalibration, DepthCalibration, ImuSamples, Trajectory
+from ..io.messages import GpsMessage, ImageMessage, ImuMessage, Message, TruthMessage
+from ..sensors import Calibration, CameraCalibration, DepthCalibration, GpsFix, ImuSamples, Trajectory
+from .receiver import START, measure
 from .render import Renderer
 from .scenarios import SCENARIOS, Interval, Scenario
 from .sensors import encode_jpeg, expose, measure_depth, sample_imu
@@ -24,8 +25,8 @@ LEAD_S = 0.1  # the IMU begins this long before the first image and ends as long
 TRUTH_EVERY = 2  # IMU samples
 MAX_DURATION_S = 600.0
 IMAGE_TOPICS, IMU_TOPIC, TRUTH_TOPIC = ("/cam0/image_raw", "/cam1/image_raw"), "/imu0", "/groundtruth"
-DEPTH_TOPIC = "/depth0/image_raw"
-_IMU_STREAM, _IMAGE_STREAM, _DEPTH_STREAM = 10, 11, 12  # of the seeded randomness
+DEPTH_TOPIC, GPS_TOPIC = "/depth0/image_raw", "/gps0"
+_IMU_STREAM, _IMAGE_STREAM, _DEPTH_STREAM, _GPS_STREAM = 10, 11, 12, 13  # of the seeded randomness
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class Simulation:
     image_t_ns: np.ndarray  # (n,) stamps, after dropouts
     calibration: Calibration  # as the user has it: wrong where the scenario says so
     true_calibration: Calibration
+    fixes: tuple[GpsFix, ...] = ()
+    outlier: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # (m,) of the fixes
 
     @cached_property
     def renderer(self) -> Renderer:
@@ -72,9 +75,9 @@ class Simulation:
         return measure_depth(self.renderer.depth_m(T_w_c), self.scenario.depth, rng)
 
     def messages(self) -> Iterator[Message]:
-        """Everything in the order of its stamps; at equal stamps truth, IMU, image, depth."""
-        streams: list[Iterator[Message]] = [self._truth_messages(), self._imu_messages(), self._image_messages()]
-        return heapq.merge(*streams, key=lambda message: message.t_ns)
+        """Everything in the order of its stamps; at equal stamps truth, IMU, GPS, image, depth."""
+        streams: list[Iterator[Message]] = [self._truth_messages(), self._imu_messages(), self._gps_messages()]
+        return heapq.merge(*streams, self._image_messages(), key=lambda message: message.t_ns)
 
     def _truth_messages(self) -> Iterator[Message]:
         truth = self.truth
@@ -85,6 +88,11 @@ class Simulation:
     def _imu_messages(self) -> Iterator[Message]:
         for t_ns, gyro, accel in zip(self.imu.t_ns.tolist(), self.imu.gyro_rad_s, self.imu.accel_m_s2):
             yield ImuMessage(t_ns, IMU_TOPIC, gyro, accel)
+
+    def _gps_messages(self) -> Iterator[Message]:
+        for f in self.fixes:
+            place = f.latitude_deg, f.longitude_deg, f.altitude_m
+            yield GpsMessage(f.t_ns, GPS_TOPIC, *place, f.covariance_enu_m2, f.status)
 
     def _image_messages(self) -> Iterator[Message]:
         quality = self.scenario.exposure.jpeg_quality
@@ -145,7 +153,20 @@ def build(name: str, scenario: Scenario, seed: int = 1, duration_s: float | None
         image_t_ns + T0_NS,
         _believed(scenario),
         _calibration(scenario, scenario.td_s, (0.0, 0.0, 0.0)),
+        *_fixes(scenario, motion, duration_s, seed),
     )
+
+
+def _fixes(scenario: Scenario, motion: Motion, duration_s: float, seed: int) -> tuple[tuple[GpsFix, ...], np.ndarray]:
+    receiver = scenario.gps
+    if receiver is None:
+        return (), np.zeros(0, bool)
+    t_s = _stamps(receiver.first_s, duration_s, receiver.rate_hz) * 1e-9
+    body = motion.at(t_s)
+    antenna_w = body.p_w_b + so3.rotate(body.q_w_b, np.array(receiver.p_b_gps))
+    noise, gross = (np.random.default_rng([seed, _GPS_STREAM, part]) for part in range(2))
+    fixes, outlier = measure(receiver, t_s, antenna_w, START, noise, gross)
+    return tuple(replace(fix, t_ns=fix.t_ns + T0_NS) for fix in fixes), outlier
 
 
 def _stamps(start_s: float, end_s: float, rate_hz: float) -> np.ndarray:
@@ -182,4 +203,7 @@ def _calibration(scenario: Scenario, td_s: float, rotation_error_deg: tuple[floa
         seen = scenario.depth
         depth = DepthCalibration(DEPTH_TOPIC, seen.scale_m, seen.min_m, seen.max_m)
         cameras = (replace(cameras[0], depth=depth), *cameras[1:])
-    return Calibration(cameras, scenario.imu.noise, scenario.gravity_m_s2, td_s, IMU_TOPIC)
+    calibration = Calibration(cameras, scenario.imu.noise, scenario.gravity_m_s2, td_s, IMU_TOPIC)
+    if scenario.gps:
+        calibration = replace(calibration, gps_topic=GPS_TOPIC, p_b_gps=scenario.gps.p_b_gps)
+    return calibration

@@ -324,6 +324,18 @@ def test_a_depth_config_is_read(tmp_path: Path) -> None:
     assert limited is not None and (limited.min_m, limited.max_m) == (0.3, 8.0)
 
 
+def test_topic_and_antenna_of_a_gps_receiver_are_read_and_nothing_is_made_up(tmp_path: Path) -> None:
+    """The topic and the place are ours: VINS-Fusion's node subscribes to /gps and knows no lever arm."""
+    plain = read(tmp_path, VINS_MONO).calibration
+    assert (plain.gps_topic, plain.p_b_gps) == ("", None)
+    place = "p_b_gps: !!opencv-matrix\n   rows: 3\n   cols: 1\n   dt: d\n   data: [0.6, 0.0, 0.8]\n"
+    found = read(tmp_path, VINS_MONO + 'gps_topic: "/fix"\n' + place)
+    assert (found.calibration.gps_topic, found.calibration.p_b_gps) == ("/fix", (0.6, 0.0, 0.8))
+    assert not any("gps" in note for note in found.notes)
+    with pytest.raises(CalibrationError, match="p_b_gps is something else; expected 3 numbers"):
+        read(tmp_path, VINS_MONO + "p_b_gps: [0.6, 0.0]\n")
+
+
 def test_what_a_mono_run_leaves_out_is_noted(tmp_path: Path) -> None:
     text = KITTI_FUSION.replace("imu: 0", "imu: 1").replace("estimate_extrinsic: 0", "estimate_extrinsic: 1")
     text = text.replace('imu_topic: ""', 'imu_topic: "/imu0"').replace('0_topic: ""', '0_topic: "/a"')

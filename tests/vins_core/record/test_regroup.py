@@ -10,7 +10,7 @@ from vins_core.io.messages import ImuMessage
 from vins_core.io.sync import ImuQueue
 from vins_core.params import Frontend
 from vins_core.record.regroup import regroup
-from vins_core.sensors import Anomaly, ImageRef, Packet
+from vins_core.sensors import Anomaly, GpsFix, ImageRef, Packet
 
 MS = 1_000_000
 TD_S = 0.0037
@@ -64,3 +64,21 @@ def test_an_image_in_a_gap_of_the_imu_is_only_tracked() -> None:
     stamps = [p.t_ns // MS for p in found]
     assert 1050 not in stamps and {950, 1000, 1100, 1150} <= set(stamps)
     assert [i.index for p in found if p.t_ns == 1100 * MS for i in p.images] == [21, 22]
+
+
+@pytest.mark.parametrize("freq", [5.0, 10.0, 20.0])
+def test_fixes_come_with_the_first_frame_that_is_not_before_them(freq: float) -> None:
+    stamps = iter(range(120 * MS, 3000 * MS, 130 * MS))
+    waiting, packets = [next(stamps)], []
+    for packet in recorded(every=2):
+        while waiting[-1] <= packet.t_ns + round(TD_S * 1e9):
+            waiting.append(next(stamps))
+        fixes = tuple(GpsFix(t, 48.0, 11.0, 500.0, np.eye(3), 0) for t in waiting[:-1])
+        packets.append(replace(packet, gps=fixes))
+        waiting = waiting[-1:]
+    found = list(regroup(packets, replace(Frontend(), freq=freq), TD_S, 0, None))
+    for before, after in pairwise(found):
+        ends = [p.t_ns + round(TD_S * 1e9) for p in (before, after)]
+        assert all(ends[0] < fix.t_ns <= ends[1] for fix in after.gps)
+    kept = [fix.t_ns for p in found for fix in p.gps]
+    assert kept == [fix.t_ns for p in packets for fix in p.gps][: len(kept)] and len(kept) > 15
