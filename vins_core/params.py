@@ -163,6 +163,36 @@ class Init:
     max_imu_error: Annotated[
         float, Range(0.01, 100), Doc("rms IMU residual after refinement, in its standard deviations", "sigma")
     ] = 1.5
+    hand_eye_min_pairs: Annotated[
+        int, Range(4, 200), Doc("unknown extrinsics: pairs of frames from which the rotation is found (N14)")
+    ] = 10
+    hand_eye_min_turn_deg_s: Annotated[
+        float, Range(0, 100), Doc("rms rate of turning about the second strongest axis (parity: 0)", "deg/s")
+    ] = 1.0
+    hand_eye_min_singular: Annotated[
+        float, Range(0, 10), Doc("second smallest singular value of the stacked quaternions (parity: 0.25)")
+    ] = 0.05
+    hand_eye_max_sigma_deg: Annotated[
+        float, Range(0.01, 180), Doc("standard deviation of the rotation about its worst axis (parity: 180)", "deg")
+    ] = 0.35
+    hand_eye_max_misfit: Annotated[
+        float, Range(0.1, 1000), Doc("rms by which camera and gyroscope still turn apart (parity: 1000)", "sigma")
+    ] = 2.0
+    hand_eye_min_agreement: Annotated[
+        float, Range(0, 1), Doc("share of the pairs that agree with the rotation (parity: 0)")
+    ] = 0.8
+    hand_eye_max_halves_deg: Annotated[
+        float, Range(0.1, 180), Doc("angle between what earlier and later pairs say (parity: 180)", "deg")
+    ] = 2.0
+    hand_eye_max_td_ms: Annotated[
+        float, Range(0.1, 1000), Doc("time offset found beside the one of the calibration (advisory)", "ms")
+    ] = 10.0
+    hand_eye_pair_sigma_deg: Annotated[
+        float, Range(0.001, 5), Doc("smallest standard deviation of a rotation between two images", "deg")
+    ] = 0.02
+    hand_eye_td_sigma_s: Annotated[
+        float, Range(0, 1), Doc("how far the time offset may be from the calibration's (parity: 0)", "s")
+    ] = 0.02
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,17 @@ from .frontend.step import track
 from .fusion.stage import fuse
 from .fusion.state import GpsState
 from .fusion.state import restart as restart_gps
-from .initialization import stereo
+from .initialization import hand_eye, stereo
+from .initialization.hand_eye import HandEye
 from .initialization.step import initialize
 from .mapping import closure as mapping
 from .mapping.closure import Closure
 from .mapping.places import Places
-from .params import Params
+from .params import Frontend, Params
 from .report import (
     FrameReport,
     Gate,
+    HandEyeReport,
     InitReport,
     KeyframeReport,
     LossReason,
@@ -30,7 +32,7 @@ from .report import (
     Timings,
     TrackReport,
 )
-from .sensors import Calibration, ImageSource, Packet
+from .sensors import Calibration, CameraCalibration, ImageSource, Packet
 from .window.keyframe import decide
 from .window.locate import locate
 from .window.marginalize import marginalize_oldest
@@ -61,11 +63,15 @@ class RunState:
     """What loop closing carries; None where loops are not closed."""
     gps: GpsState | None = None
     """What GPS fusion carries; None before the first pose, and where no fixes are fused."""
+    hand_eye: HandEye | None = None
+    """While unknown extrinsics keep it from initialising: what is known of them by now."""
 
 
 def start(calibration: Calibration, places: Places | None = None) -> RunState:
     """The state before the first packet; loops are closed only with `places`."""
     state = RunState(TrackerState.empty(), _empty_window(calibration), Status.FILLING)
+    if calibration.extrinsics == "unknown" and calibration.has_imu:
+        state = replace(state, hand_eye=HandEye())
     return state if places is None else replace(state, closure=mapping.begin(places))
 
 
@@ -84,14 +90,15 @@ def step(
     previous = state.tracker.image
     ms: Timings = {}
     with stopwatch(ms, "track"):
+        front_end, cameras = _front_end(params, calibration, state)
         tracked = track(
-            params.frontend,
-            calibration.cameras[0],
+            front_end,
+            cameras[0],
             images,
             state.tracker,
             packet,
             {LossReason.OUTLIER: state.rejected_ids, LossReason.DEPTH: state.behind_ids},
-            calibration.cameras[1] if len(calibration.cameras) > 1 else None,
+            cameras[1] if len(cameras) > 1 else None,
         )
     state, report, ms = advance(params, calibration, state, packet, tracked, ms)
     if places is not None and params.loop.enabled and report.status is Status.TRACKING:
@@ -165,6 +172,10 @@ def receive(
         with stopwatch(ms, "locate"):
             window, located = locate(params, state.window)
         state, gates = replace(state, window=window), (located,)
+    found = None
+    if state.hand_eye is not None:
+        with stopwatch(ms, "initialize"):
+            state, found = _find_rotation(params, calibration, state)
     R_b_c = state.window.T_b_c[0][:3, :3]
     posed = tracking and not state.window.inertial
     keyframe = decide(params.window, state.window.frames, R_b_c, gyro_is_calibrated=tracking, posed=posed)
@@ -179,6 +190,7 @@ def receive(
         anomalies=packet.anomalies,
         tracks=tracks,
         keyframe=keyframe,
+        hand_eye=found,
     )
     enough = params.window.size + 1 if state.window.inertial else 1
     if len(state.window.frames) < enough and not tracking:
@@ -248,21 +260,56 @@ def _initialize(
     last = state.last_attempt_ns
     if last is not None and report.t_ns - last < params.init.retry_s * 1e9:
         return state, report
-    window, attempt = _attempt(params, calibration, state)
+    window, attempt = _attempt(params, calibration, state, report.hand_eye)
     state, report = replace(state, last_attempt_ns=report.t_ns), replace(report, initialization=attempt)
     if window is None:
         return state, report
     if state.resume is not None:
         window = continue_from(window, state.resume)
-    return replace(state, window=window, status=Status.TRACKING, history=(), resume=None), report
+    return replace(state, window=window, status=Status.TRACKING, history=(), resume=None, hand_eye=None), report
 
 
-def _attempt(params: Params, calibration: Calibration, state: RunState) -> tuple[WindowState | None, InitReport]:
+def _attempt(
+    params: Params, calibration: Calibration, state: RunState, rotation: HandEyeReport | None
+) -> tuple[WindowState | None, InitReport]:
+    if rotation is None:
+        return _attempt_with_rotation(params, calibration, state)
+    stage = hand_eye.stage(rotation)
+    if not stage.passed:
+        return None, InitReport((stage,), False, -1, None, None, rotation.b_g)
+    window, attempt = _attempt_with_rotation(params, calibration, state)
+    return window, replace(attempt, stages=(stage, *attempt.stages))
+
+
+def _attempt_with_rotation(
+    params: Params, calibration: Calibration, state: RunState
+) -> tuple[WindowState | None, InitReport]:
     if not calibration.has_imu:
         return stereo.begin(params, state.window)
     if len(calibration.cameras) > 1:
         return stereo.initialize(params, calibration, state.window)
     return initialize(params, calibration, state.window, state.history)
+
+
+def _find_rotation(params: Params, calibration: Calibration, state: RunState) -> tuple[RunState, HandEyeReport | None]:
+    """Another attempt at the unknown rotation, with how camera and gyroscope turned since the frame before."""
+    assert state.hand_eye is not None
+    if len(state.history) < 2:
+        return state, None
+    found, report = hand_eye.calibrate(params.init, state.hand_eye, *state.history[-2:])
+    mounted = hand_eye.mount(np.array([c.T_b_c for c in calibration.cameras]), found.R_b_c)
+    return replace(state, hand_eye=found, window=replace(state.window, T_b_c=mounted)), report
+
+
+def _front_end(
+    params: Params, calibration: Calibration, state: RunState
+) -> tuple[Frontend, tuple[CameraCalibration, ...]]:
+    """Its parameters and cameras: where extrinsics were unknown, as they have been found, and no prediction before."""
+    if calibration.extrinsics != "unknown" or not calibration.has_imu:
+        return params.frontend, calibration.cameras
+    if state.hand_eye is not None and state.hand_eye.R_b_c is None:
+        return replace(params.frontend, predict="off"), calibration.cameras
+    return params.frontend, tuple(replace(c, T_b_c=T) for c, T in zip(calibration.cameras, state.window.T_b_c))
 
 
 def _shrink(params: Params, calibration: Calibration, state: RunState) -> RunState:
@@ -290,4 +337,6 @@ def _restart(calibration: Calibration, state: RunState, last_healthy: PoseEstima
     closure = mapping.interrupt(state.closure) if state.closure else None
     gps = restart_gps(state.gps) if state.gps else None
     window = _empty_window(calibration)
+    if calibration.extrinsics == "unknown":
+        window = replace(window, T_b_c=state.window.T_b_c)
     return RunState(state.tracker, window, Status.FAILED, resume=last_healthy, closure=closure, gps=gps)

@@ -174,6 +174,21 @@ class InitReport:
 
 
 @dataclass(frozen=True)
+class HandEyeReport:
+    """One attempt to find the rotation between camera and IMU (REFERENCE N14); None where nothing is solved yet."""
+
+    n_pairs: int  # of frames
+    q_b_c: np.ndarray | None  # (4,) wxyz
+    sigma_deg: np.ndarray | None  # (3,) standard deviations about the axes of the camera
+    singular_values: np.ndarray  # (4,) of the stacked quaternions, descending
+    b_g: np.ndarray | None  # (3,) rad/s, found with it
+    td_s: float | None  # likewise, beside the one of the calibration
+    gates: tuple[Gate, ...]
+    accepted: bool  # every deciding gate has passed
+    found: bool  # in this attempt or in an earlier one: initialisation may use it
+
+
+@dataclass(frozen=True)
 class IterationReport:
     cost: float
     accepted: bool
@@ -578,6 +593,7 @@ class FrameReport:
     relocalizations: tuple[RelocalizationReport, ...] = ()  # earlier keyframes that the window saw again
     closure: ClosureReport | None = None  # None before the first keyframe, and where loops are not closed
     gps: GpsReport | None = None  # None before the first pose, and where no fixes are fused
+    hand_eye: HandEyeReport | None = None  # while initialising with unknown extrinsics
 
 
 Timings = dict[str, float]
@@ -627,6 +643,17 @@ class GpsSummary:
 
 
 @dataclass(frozen=True)
+class HandEyeSummary:
+    """How the rotation between camera and IMU converges."""
+
+    n_pairs: int
+    q_b_c: np.ndarray | None  # (4,) wxyz
+    sigma_deg: np.ndarray | None  # (3,)
+    singular_value: float  # the second smallest
+    found: bool
+
+
+@dataclass(frozen=True)
 class FrameSummary:
     """One row per frame for timelines and tables over a whole run, kept small so that opening a run is fast."""
 
@@ -653,6 +680,7 @@ class FrameSummary:
     yaw_information: float | None = None  # what the prior made in this frame claims to know of yaw, 1/rad^2
     closure: ClosureSummary | None = None
     gps: GpsSummary | None = None
+    hand_eye: HandEyeSummary | None = None
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
@@ -684,6 +712,7 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         yaw_information=float(margin.gauge_information[3]) if margin and margin.kind != "none" else None,
         closure=_summarize_closure(report.closure) if report.closure else None,
         gps=_summarize_gps(report.gps) if report.gps else None,
+        hand_eye=_summarize_hand_eye(report.hand_eye) if report.hand_eye else None,
     )
 
 
@@ -703,6 +732,11 @@ def _summarize_gps(report: GpsReport) -> GpsSummary:
         yaw_sigma_deg=report.yaw_sigma_deg,
         outage_s=next((g.value for g in report.gates if g.name == "outage_s"), None),
     )
+
+
+def _summarize_hand_eye(report: HandEyeReport) -> HandEyeSummary:
+    smallest = float(report.singular_values[2])
+    return HandEyeSummary(report.n_pairs, report.q_b_c, report.sigma_deg, smallest, report.found)
 
 
 def _summarize_closure(report: ClosureReport) -> ClosureSummary:

@@ -20,6 +20,16 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return out
 
 
+def left_matrix(q: np.ndarray) -> np.ndarray:
+    """(..., 4) -> (..., 4, 4) with left_matrix(q) p = q * p."""
+    return np.moveaxis(multiply(np.asarray(q)[..., None, :], np.eye(4)), -2, -1)
+
+
+def right_matrix(q: np.ndarray) -> np.ndarray:
+    """(..., 4) -> (..., 4, 4) with right_matrix(q) p = p * q."""
+    return np.moveaxis(multiply(np.eye(4), np.asarray(q)[..., None, :]), -2, -1)
+
+
 def inverse(q: np.ndarray) -> np.ndarray:
     """Conjugate of a unit quaternion."""
     return np.asarray(q) * np.array([1.0, -1.0, -1.0, -1.0])

@@ -62,6 +62,23 @@ def epipolar_angle(T_a_b: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray) ->
     return np.abs(e) / norm
 
 
+def rotation_covariance(pose: RelativePose, rays_a: np.ndarray, rays_b: np.ndarray) -> np.ndarray:
+    """(3, 3) covariance in rad^2 of d in R_a_b <- Exp(d) R_a_b, whatever the direction of translation is.
+
+    Of the inlying rays, at the spread of their own epipolar angles; infinite where they do not determine it.
+    """
+    a, b = rays_a[pose.inlier], rays_b[pose.inlier]
+    if len(a) <= 5:
+        return np.full((3, 3), np.inf)
+    e, norm, J_rotation, J_translation = _linearized(pose.T_a_b, a, b)
+    J = np.concatenate([J_rotation, J_translation], 1) / norm[:, None]
+    variance = np.sum((e / norm) ** 2) / (len(a) - 5)
+    try:
+        return variance * np.linalg.inv(J.T @ J)[:3, :3]
+    except np.linalg.LinAlgError:
+        return np.full((3, 3), np.inf)
+
+
 def depths_along_rays(T_a_b: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray) -> np.ndarray:
     """(n, 2) distances along both rays to the points where they come closest; infinite for parallel rays.
 
@@ -90,6 +107,23 @@ def _sampson(
     return e, np.maximum(norm, 1e-12), b, normal_b
 
 
+def _linearized(
+    T: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Algebraic error e, its gradient norm on the sphere, and de by rotation (n, 3) and by direction (n, 2).
+
+    R <- Exp(d) R:  d(a . t x (d x b)) / dd;  t <- t + tangent d.
+    """
+    e, norm, b, _ = _sampson(T, rays_a, rays_b)
+    t = T[:3, 3]
+    return e, norm, -np.cross(np.cross(rays_a, t), b), np.cross(b, rays_a) @ _tangent(t)
+
+
+def _tangent(t: np.ndarray) -> np.ndarray:
+    """(3, 2), orthogonal to t."""
+    return np.linalg.svd(t[None])[2][1:].T
+
+
 def _refine(T: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray, threshold_rad: float) -> np.ndarray:
     """Gauss-Newton on rotation (3) and direction of translation (2) with Cauchy weights."""
 
@@ -98,15 +132,11 @@ def _refine(T: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray, threshold_rad
 
     cost = robust_cost(T)
     for _ in range(10):
-        e, norm, b, _ = _sampson(T, rays_a, rays_b)
-        t = T[:3, 3]
-        tangent = np.linalg.svd(t[None])[2][1:].T  # (3, 2), orthogonal to t
-        J_rotation = -np.cross(np.cross(rays_a, t), b)  # R <- Exp(d) R:  d(a . t x (d x b)) / dd
-        J_translation = np.cross(b, rays_a) @ tangent
+        e, norm, J_rotation, J_translation = _linearized(T, rays_a, rays_b)
         weight = 1.0 / (norm * np.sqrt(1.0 + (e / norm / threshold_rad) ** 2))
         J = np.concatenate([J_rotation, J_translation], 1) * weight[:, None]
         d = np.linalg.lstsq(J, -e * weight, rcond=None)[0]
-        t_new = t + tangent @ d[3:]
+        t_new = T[:3, 3] + _tangent(T[:3, 3]) @ d[3:]
         R_new = so3.to_matrix(so3.exp(d[:3])) @ T[:3, :3]
         T_new = se3.from_rotation_translation(R_new, t_new / np.linalg.norm(t_new))
         new_cost = robust_cost(T_new)

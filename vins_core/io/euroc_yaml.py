@@ -12,7 +12,7 @@ from ..errors import CalibrationError
 from ..geometry import se3
 from ..sensors import Calibration, CameraCalibration, ImuNoise
 from .intrinsics import read_camera, write_camera
-from .own_yaml import read_depth
+from .own_yaml import read_depth, read_extrinsics, read_flag
 from .yaml_file import Keys
 
 ASSUMED_GRAVITY = 9.81
@@ -58,6 +58,8 @@ def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...
         td_s=td_s[0],
         imu_topic=imu.text("topic", "the IMU's topic") if "topic" in imu else "",
         sources=tuple(str(f.path) for f in (*cameras, imu)),
+        estimate_td=read_flag(imu, "estimate_td"),
+        extrinsics=read_extrinsics(imu),
     )
     return calibration, {}, tuple(notes)
 
@@ -73,8 +75,13 @@ def _camera(keys: Keys, name: str, T_body_imu: np.ndarray) -> CameraCalibration:
 
 
 def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
-    """What `read` expects of an IMU's file, and what EuRoC's format has no key for: gravity and the kind of noise."""
+    """What `read` expects of an IMU's file, and what EuRoC's format has no key for.
+
+    That is gravity, the kind of noise, and what of the calibration a run shall estimate.
+    """
     noise = calibration.noise
+    estimated: dict[str, Any] = {"estimate_td": True} if calibration.estimate_td else {}
+    estimated |= {"extrinsics": calibration.extrinsics} if calibration.extrinsics != "fixed" else {}
     return {
         "T_BS": _matrix(np.eye(4)),
         "gyroscope_noise_density": noise.gyr_n,
@@ -83,6 +90,7 @@ def imu_to_dict(calibration: Calibration) -> dict[str, Any]:
         "accelerometer_random_walk": noise.acc_w,
         "noise_kind": noise.kind,
         "gravity_m_s2": calibration.gravity_m_s2,
+        **estimated,
     }
 
 

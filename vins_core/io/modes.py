@@ -82,11 +82,8 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
             f"{where}: has one camera, and mode {mode} needs two"
             + ("" if calibration.has_imu else "; one camera without an IMU cannot tell how large the world is")
         )
-    if calibration.extrinsics == "unknown" and np.array_equal(calibration.cameras[0].T_b_c, np.eye(4)):
-        raise CalibrationError(
-            f"{where}: estimate_extrinsic is 2; finding unknown extrinsics is not supported yet, give "
-            "extrinsicRotation and extrinsicTranslation"
-        )
+    if calibration.extrinsics == "unknown" and mode != "mono_imu":
+        _check_unknown(where, calibration, mode)
     notes = []
     used = restrict(calibration, mode)
     if len(calibration.cameras) > len(used.cameras):
@@ -101,11 +98,31 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
         notes.append(f"depth of {calibration.cameras[0].name}: depth images are not supported yet and not used")
     if calibration.estimate_td:
         notes.append("estimate_td: estimating td is not supported yet, the given value is used")
-    if calibration.extrinsics != "fixed":
+    if calibration.extrinsics == "refine":
         notes.append("estimate_extrinsic: estimating the extrinsics is not supported yet, the given values are used")
+    if calibration.extrinsics == "unknown" and mode != "stereo":
+        p = used.cameras[0].T_b_c[:3, 3]
+        position = "zero" if not p.any() else f"{np.array2string(p, precision=3)} m, as given"
+        notes.append(
+            f"estimate_extrinsic: the rotation of {used.cameras[0].name} is found before initialising, by turning; "
+            f"its position in the IMU starts at {position}"
+        )
     if used.cameras[0].readout_s:
         notes.append("rolling_shutter: rolling shutter is not supported yet, the image is taken as exposed at once")
     return used, tuple(notes)
+
+
+def _check_unknown(where: str, calibration: Calibration, mode: Mode) -> None:
+    """What is found is how camera and IMU are turned to each other, not how two cameras are mounted."""
+    if mode == "rgbd_imu":
+        return
+    first, second = (camera.T_b_c for camera in calibration.cameras[:2])
+    if not np.allclose(first[:3, 3], second[:3, 3]):
+        return
+    raise CalibrationError(
+        f"{where}: estimate_extrinsic is 2 and both cameras are at the same place; mode {mode} needs to know how they "
+        "are mounted to each other: give body_T_cam0 and body_T_cam1, of which only that is used"
+    )
 
 
 def _missing(recording: Recording, calibration: Calibration | None, mode: Mode) -> tuple[str, ...]:

@@ -68,7 +68,7 @@ def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
         gravity_m_s2=9.81,
         sources=(str(keys.path),),
         has_imu=has_imu,
-        extrinsics=_extrinsics(keys),
+        extrinsics=read_extrinsics(keys),
     )
     if has_imu:
         calibration = _with_imu(keys, calibration)
@@ -101,7 +101,7 @@ def _with_imu(keys: Keys, calibration: Calibration) -> Calibration:
         gravity_m_s2=keys.number("gravity_m_s2", "the norm of gravity in m/s^2", positive=True),
         td_s=keys.number("td_s", "the time offset in s with t_imu = t_image + td"),
         imu_topic=_topic(imu),
-        estimate_td=_flag(keys, "estimate_td"),
+        estimate_td=read_flag(keys, "estimate_td"),
     )
 
 
@@ -147,7 +147,7 @@ def read_depth(keys: Keys) -> DepthCalibration:
     return DepthCalibration(_topic(keys), **numbers)
 
 
-def _extrinsics(keys: Keys) -> ExtrinsicKnowledge:
+def read_extrinsics(keys: Keys) -> ExtrinsicKnowledge:
     if "extrinsics" not in keys:
         return "fixed"
     said = keys.text("extrinsics", "fixed, refine or unknown")
@@ -157,7 +157,7 @@ def _extrinsics(keys: Keys) -> ExtrinsicKnowledge:
     raise keys.wrong("extrinsics", said, "fixed, refine or unknown")
 
 
-def _flag(keys: Keys, key: str) -> bool:
+def read_flag(keys: Keys, key: str) -> bool:
     value = keys.raw(key, "true or false") if key in keys else False
     if not isinstance(value, bool):
         raise keys.wrong(key, value, "true or false")

@@ -122,11 +122,12 @@ def _fusion_cameras(
         raise keys.wrong("num_of_cam", count, "1 or 2")
     keys.used |= {"image1_topic", "cam1_calib", "body_T_cam1", "image_width", "image_height"}
     mask, readout_s, depth = _mask(keys, notes), _readout(keys), _depth(keys)
+    given = all(f"body_T_cam{i}" in keys for i in range(count))  # one without the other says nothing
     cameras = []
     for i in range(count):
         beside = keys.path.parent / keys.text(f"cam{i}_calib", "the camera's file beside this one")
         where = f"body_T_cam{i}"
-        if extrinsics == "unknown" and where not in keys:
+        if extrinsics == "unknown" and not given:
             T_b_c = np.eye(4)
         else:
             T_b_c = keys.transform(where, "the transform from camera to IMU")
