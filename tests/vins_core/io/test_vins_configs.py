@@ -310,6 +310,27 @@ def test_unknown_extrinsics_need_not_be_in_the_file(tmp_path: Path) -> None:
         read(tmp_path, text.replace("estimate_extrinsic: 2", "estimate_extrinsic: 3"))
 
 
+def test_unknown_extrinsics_of_two_cameras_are_refused_unless_their_place_beside_each_other_is_given(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "cam.yaml").write_text(PINHOLE_BLOCK)
+    text = KITTI_FUSION.replace("imu: 0", "imu: 1").replace("estimate_extrinsic: 0", "estimate_extrinsic: 2")
+    text = text.replace('imu_topic: ""', 'imu_topic: "/imu0"')
+    text += "acc_n: 0.1\ngyr_n: 0.01\nacc_w: 0.001\ngyr_w: 1.0e-4\ng_norm: 9.81\ntd: 0.0\n"
+    text = text.replace('image0_topic: ""', 'image0_topic: "/a"').replace('image1_topic: ""', 'image1_topic: "/b"')
+    calibration = read(tmp_path, text).calibration
+    _, notes = modes.prepare(calibration, "stereo_imu")
+    assert any("rotation of cam0 is found before initialising" in note for note in notes)
+    first, second = text.index("body_T_cam0"), text.index("body_T_cam1")
+    missing = read(tmp_path, text[:first] + text[second:]).calibration  # one alone says nothing
+    assert all(np.array_equal(camera.T_b_c, np.eye(4)) for camera in missing.cameras)
+    with pytest.raises(CalibrationError, match=r"give body_T_cam0 and body_T_cam1, of which only that is used"):
+        modes.prepare(missing, "stereo_imu")
+    with pytest.raises(CalibrationError, match=r"give body_T_cam0 and body_T_cam1"):
+        modes.prepare(missing, "stereo")
+    assert modes.prepare(missing, "mono_imu")
+
+
 def test_a_depth_config_is_read(tmp_path: Path) -> None:
     """VINS-RGBD: depth registered to colour, in mm; what it draws is of no concern."""
     text = VINS_MONO + (
@@ -458,3 +479,13 @@ def test_every_camera_survives_a_euroc_folder(tmp_path: Path, model: str) -> Non
     assert set(MODELS) == {"pinhole-radtan", *BLOCKS}
     assert [c.model for c in found.cameras] == [c.model for c in pair]
     assert [c.topic for c in found.cameras] == ["/cam0/image_raw", "/cam1/image_raw"]
+
+
+def test_a_euroc_folder_keeps_what_a_run_shall_estimate(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text(with_camera(PINHOLE_BLOCK))
+    settings = read_calibration([tmp_path / "config.yaml"])
+    asked = replace(settings.calibration, extrinsics="unknown", estimate_td=True)
+    messages = in_time_order([*imus(0, 0.3), *images(0, 0.3)])
+    out = write_recording(messages, tmp_path / "out", "asl", settings=replace(settings, calibration=asked))
+    found = read_calibration([], open_recording(out)).calibration
+    assert found.extrinsics == "unknown" and found.estimate_td
