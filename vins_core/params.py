@@ -232,6 +232,35 @@ class Projection:
 
 
 @dataclass(frozen=True)
+class Online:
+    """Calibration while running: time offset, rolling shutter, extrinsics (REFERENCE O5-O8)."""
+
+    td: Annotated[
+        Literal["auto", "on", "off"],
+        Doc("estimate the time offset between camera and IMU; auto: when the calibration asks for it"),
+    ] = "auto"
+    extrinsics: Annotated[
+        Literal["auto", "on", "off"],
+        Doc("estimate where the cameras are on the body; auto: when the calibration does not call them fixed"),
+    ] = "auto"
+    rolling_shutter: Annotated[
+        bool, Doc("mind that rows are read one after another, where the calibration says so (parity: only with td)")
+    ] = True
+    td_sigma_s: Annotated[
+        float, Range(1e-4, 1), Doc("standard deviation of the given time offset (parity: none is assumed)", "s")
+    ] = 0.05
+    rotation_sigma_deg: Annotated[
+        float, Range(0.01, 90), Doc("standard deviation of the given rotation of a camera, per axis", "deg")
+    ] = 2.0
+    translation_sigma_m: Annotated[
+        float, Range(1e-4, 10), Doc("standard deviation of the given position of a camera, per axis", "m")
+    ] = 0.05
+    min_speed: Annotated[
+        float, Range(0, 10), Doc("calibration is held while the oldest frame of the window is slower", "m/s")
+    ] = 0.2
+
+
+@dataclass(frozen=True)
 class Solver:
     """Trust-region methods on the Schur complement (REFERENCE O1)."""
 
@@ -515,6 +544,7 @@ class Params:
     init: Init = field(default_factory=Init)
     window: Window = field(default_factory=Window)
     projection: Projection = field(default_factory=Projection)
+    online: Online = field(default_factory=Online)
     solver: Solver = field(default_factory=Solver)
     marginalization: Marginalization = field(default_factory=Marginalization)
     health: Health = field(default_factory=Health)

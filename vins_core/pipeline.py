@@ -16,6 +16,7 @@ from .fusion.state import restart as restart_gps
 from .initialization import hand_eye, stereo
 from .initialization.hand_eye import HandEye
 from .initialization.step import initialize
+from .initialization.time_offset import AGREES_S
 from .mapping import closure as mapping
 from .mapping.closure import Closure
 from .mapping.places import Places
@@ -33,6 +34,7 @@ from .report import (
     TrackReport,
 )
 from .sensors import Calibration, CameraCalibration, ImageSource, Packet
+from .window import online
 from .window.keyframe import decide
 from .window.locate import locate
 from .window.marginalize import marginalize_oldest
@@ -40,6 +42,7 @@ from .window.propagate import continue_from, predict
 from .window.slide import drop_oldest, drop_second_newest, restrict
 from .window.state import Landmarks, Observations, WindowFrame, WindowState
 from .window.step import estimate, pose_of
+from .window.timing import at_middle_row, referred_to
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,8 @@ def advance(
         params, arrived.calibration, state.window, arrived.keyframe, arrived.previous, ms, requests, arrived.gates
     )
     report = result.explain(report)
+    if packet.late_ns:
+        report = replace(report, pose=replace(result.pose, late_s=packet.late_ns * 1e-9))
     if result.window is None:
         state = _restart(calibration, state, arrived.previous)
         return state, replace(report, status=Status.FAILED, pose=None), ms
@@ -144,7 +149,7 @@ class Arrival:
 
     state: RunState
     report: FrameReport
-    calibration: Calibration  # with the noise that `params.imu` makes of it
+    calibration: Calibration  # as `params.imu` and `params.online` have it
     keyframe: KeyframeReport
     previous: PoseEstimate | None  # the estimate of the frame before; None right after an initialisation
     ready: bool  # the window is initialised: its turn (window/step.py) comes next
@@ -160,10 +165,11 @@ def receive(
     ms: Timings,
 ) -> Arrival:
     """The part of `advance` before the window's turn: integrate, decide about the keyframe, initialise."""
-    calibration = _effective_noise(params, calibration)
+    calibration = _effective(params, calibration)
     tracker, observations, tracks = tracked
     tracking = state.status is Status.TRACKING
-    state = _shrink(params, calibration, state)
+    observations = at_middle_row(calibration, observations)
+    state = _shrink(params, calibration, _calibrating(params, calibration, state))
     previous = pose_of(state.window.frames[-1]) if tracking else None
     with stopwatch(ms, "preintegrate"):
         state = _arrive(calibration, state, packet, observations)
@@ -204,7 +210,18 @@ def receive(
     return Arrival(state, report, calibration, keyframe, previous, True, gates)
 
 
-def _effective_noise(params: Params, calibration: Calibration) -> Calibration:
+def _calibrating(params: Params, calibration: Calibration, state: RunState) -> RunState:
+    """The window estimates what of the calibration the parameters say from now on."""
+    wish = online.wanted(params.online, calibration)
+    if wish == state.window.calibrates:
+        return state
+    window = replace(state.window, calibrates=wish)
+    tracking = state.status is Status.TRACKING
+    return replace(state, window=online.believe(params.online, window) if tracking else window)
+
+
+def _effective(params: Params, calibration: Calibration) -> Calibration:
+    """The calibration as the parameters have it."""
     noise, imu = calibration.noise, params.imu
     scaled = replace(
         noise,
@@ -216,12 +233,13 @@ def _effective_noise(params: Params, calibration: Calibration) -> Calibration:
         gap_acc=imu.gap_acc,
         gap_gyr=imu.gap_gyr,
     )
-    return replace(calibration, noise=scaled)
+    calibration = replace(calibration, noise=scaled)
+    return calibration if params.online.rolling_shutter else calibration.exposed_at_once()
 
 
 def _empty_window(calibration: Calibration) -> WindowState:
     T_b_c = np.array([c.T_b_c for c in calibration.cameras])
-    return WindowState((), Landmarks.empty(), None, T_b_c, calibration.has_imu)
+    return WindowState((), Landmarks.empty(), None, T_b_c, calibration.has_imu, calibration.td_of(0))
 
 
 def _arrive(calibration: Calibration, state: RunState, packet: Packet, observations: Observations) -> RunState:
@@ -232,7 +250,8 @@ def _arrive(calibration: Calibration, state: RunState, packet: Packet, observati
     if not state.window.frames and not len(observations):
         return state
     zero, identity = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    newest = WindowFrame(packet.frame, packet.t_ns, False, observations, None, zero, identity, zero, zero, zero)
+    td_s = _cut_by(calibration, state.window, packet)
+    newest = WindowFrame(packet.frame, packet.t_ns, False, observations, None, zero, identity, zero, zero, zero, td_s)
     if state.window.frames and state.window.inertial:
         last = state.window.frames[-1]
         imu = preintegrate(packet.imu, last.b_a, last.b_g, calibration.noise)
@@ -244,6 +263,14 @@ def _arrive(calibration: Calibration, state: RunState, packet: Packet, observati
     window = replace(state.window, frames=frames, landmarks=restrict(state.window.landmarks, frames))
     history = () if state.status is Status.TRACKING else (*state.history, newest)
     return replace(state, window=window, history=history)
+
+
+def _cut_by(calibration: Calibration, window: WindowState, packet: Packet) -> float:
+    """The time offset by which the IMU samples of a packet were cut."""
+    if not len(packet.imu):
+        return window.td_s
+    late_ns, half_s = packet.late_ns, 0.5 * calibration.cameras[0].readout_s
+    return window.td_s if late_ns == round((window.td_s + half_s) * 1e9) else late_ns * 1e-9 - half_s
 
 
 def _remember_decision(state: RunState, is_keyframe: bool) -> RunState:
@@ -264,6 +291,7 @@ def _initialize(
     state, report = replace(state, last_attempt_ns=report.t_ns), replace(report, initialization=attempt)
     if window is None:
         return state, report
+    window = online.believe(params.online, window)
     if state.resume is not None:
         window = continue_from(window, state.resume)
     return replace(state, window=window, status=Status.TRACKING, history=(), resume=None, hand_eye=None), report
@@ -286,9 +314,21 @@ def _attempt_with_rotation(
 ) -> tuple[WindowState | None, InitReport]:
     if not calibration.has_imu:
         return stereo.begin(params, state.window)
+    window, report = _attempt_at(params, calibration, state, state.window.td_s)
+    if report.td_s is None or abs(report.td_s - state.window.td_s) < AGREES_S:
+        return window, report
+    return _attempt_at(params, calibration, state, report.td_s)
+
+
+def _attempt_at(
+    params: Params, calibration: Calibration, state: RunState, td_s: float
+) -> tuple[WindowState | None, InitReport]:
+    """With the rays as they were at the times of the poses if the time offset is `td_s`."""
+    frames, history = (tuple(referred_to(f, td_s) for f in part) for part in (state.window.frames, state.history))
+    window = replace(state.window, frames=frames, td_s=td_s)
     if len(calibration.cameras) > 1:
-        return stereo.initialize(params, calibration, state.window)
-    return initialize(params, calibration, state.window, state.history)
+        return stereo.initialize(params, calibration, window)
+    return initialize(params, calibration, window, history)
 
 
 def _find_rotation(params: Params, calibration: Calibration, state: RunState) -> tuple[RunState, HandEyeReport | None]:
@@ -304,8 +344,8 @@ def _find_rotation(params: Params, calibration: Calibration, state: RunState) ->
 def _front_end(
     params: Params, calibration: Calibration, state: RunState
 ) -> tuple[Frontend, tuple[CameraCalibration, ...]]:
-    """Its parameters and cameras: where extrinsics were unknown, as they have been found, and no prediction before."""
-    if calibration.extrinsics != "unknown" or not calibration.has_imu:
+    """Its parameters and cameras: extrinsics as they are estimated; where they are to be found, no prediction before."""
+    if not (state.window.calibrates.extrinsics or (calibration.extrinsics == "unknown" and calibration.has_imu)):
         return params.frontend, calibration.cameras
     if state.hand_eye is not None and state.hand_eye.R_b_c is None:
         return replace(params.frontend, predict="off"), calibration.cameras

@@ -171,6 +171,7 @@ class InitReport:
     scale: float | None
     gravity: np.ndarray | None  # (3,) in the frame of the reference camera, before alignment
     b_g: np.ndarray | None
+    td_s: float | None = None  # what the rotations say of the time offset; None where it is not estimated
 
 
 @dataclass(frozen=True)
@@ -561,6 +562,18 @@ class GpsReport:
 
 
 @dataclass(frozen=True)
+class CalibrationReport:
+    """What a solve knows of the calibration (window/online.py); sigmas are NaN where it was held."""
+
+    td_s: float  # t_imu = t_image + td
+    td_sigma_s: float
+    td_gates: tuple[Gate, ...]  # that let it be estimated; none where td is not
+    T_b_c: np.ndarray  # (cameras, 4, 4)
+    extrinsic_sigma: np.ndarray  # (cameras, 6) of the position in body axes in m, of the rotation in camera axes in rad
+    extrinsic_gates: tuple[Gate, ...]  # likewise
+
+
+@dataclass(frozen=True)
 class PoseEstimate:
     """The newest frame's state right after its own solve; never revised afterwards."""
 
@@ -569,6 +582,7 @@ class PoseEstimate:
     v_w_b: np.ndarray
     b_a: np.ndarray
     b_g: np.ndarray
+    late_s: float = 0.0  # its time on the IMU's clock minus the stamp of its image: td, and half of a readout
 
 
 @dataclass(frozen=True)
@@ -594,6 +608,7 @@ class FrameReport:
     closure: ClosureReport | None = None  # None before the first keyframe, and where loops are not closed
     gps: GpsReport | None = None  # None before the first pose, and where no fixes are fused
     hand_eye: HandEyeReport | None = None  # while initialising with unknown extrinsics
+    calibration: CalibrationReport | None = None  # None where nothing of it is estimated
 
 
 Timings = dict[str, float]
@@ -681,6 +696,7 @@ class FrameSummary:
     closure: ClosureSummary | None = None
     gps: GpsSummary | None = None
     hand_eye: HandEyeSummary | None = None
+    calibration: CalibrationReport | None = None
 
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
@@ -713,6 +729,7 @@ def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
         closure=_summarize_closure(report.closure) if report.closure else None,
         gps=_summarize_gps(report.gps) if report.gps else None,
         hand_eye=_summarize_hand_eye(report.hand_eye) if report.hand_eye else None,
+        calibration=report.calibration,
     )
 
 

@@ -15,7 +15,7 @@ from .io.calibration import read_calibration
 from .io.modes import Mode
 from .io.params_yaml import read_params
 from .io.recording import Recording, open_recording
-from .io.sync import packets
+from .io.sync import TimeOffset, packets
 from .mapping.maps import load as load_map
 from .mapping.places import Places, learn_places, read_places
 from .params import Params
@@ -75,7 +75,8 @@ def run_recording(
         gps_topics = source.topics_of("gps")
         calibration = available.choose_topic(calibration, gps_topics)
         no_gps = available.missing(params.gps, calibration, gps_topics)
-        arriving = packets(source, calibration, params, start_s, duration_s)
+        offset = TimeOffset(calibration.td_of(0))
+        arriving = packets(source, calibration, params, start_s, duration_s, offset)
         first = next(arriving)  # what is wrong with the recording is told before a folder is made
         places = _places(params, calibration, source, vocabulary, brief_pattern, map_folder)
         header = RunHeader(
@@ -96,7 +97,7 @@ def run_recording(
         with backends.using(chosen), RunWriter(out, header, source.truth(), source, places) as writer:
             arriving = itertools.chain([first], arriving)
             state = start(calibration, places)
-            return estimate(writer, header, source, state, arriving, progress, cancelled, places=places)
+            return estimate(writer, header, source, state, arriving, progress, cancelled, places=places, offset=offset)
 
 
 def _places(

@@ -6,7 +6,7 @@ Times are integer nanoseconds of the recording's own clock; a camera's `td_s` sa
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -163,6 +163,12 @@ class Calibration:
         own = self.cameras[camera].td_s
         return self.td_s if own is None else own
 
+    def exposed_at_once(self) -> Calibration:
+        """The same, but all rows are read at the stamp."""
+        if not any(camera.readout_s for camera in self.cameras):
+            return self
+        return replace(self, cameras=tuple(replace(camera, readout_s=0.0) for camera in self.cameras))
+
 
 @dataclass(frozen=True)
 class Packet:
@@ -170,6 +176,7 @@ class Packet:
 
     `imu` covers [t_previous + td, t_frame + td]: both ends are there, interpolated when no sample falls on them, so
     the last sample of one packet equals the first of the next.  For the first packet it covers what came before.
+    Where td is estimated, each end is by the estimate of its time; with a rolling shutter it is the middle row's.
     With two cameras each image of camera 0 is followed by the one that camera 1 took with it, if there is one.
     """
 
@@ -179,6 +186,11 @@ class Packet:
     anomalies: tuple[Anomaly, ...] = ()
     gps: tuple[GpsFix, ...] = ()  # stamped up to t_frame + td and not in an earlier packet
     depths: tuple[DepthRef | None, ...] = ()  # one for each image of camera 0; empty without a depth camera
+
+    @property
+    def late_ns(self) -> int:
+        """By how much the end of `imu` is later than the stamp of the frame: t_frame + td, whatever td was then."""
+        return int(self.imu.t_ns[-1]) - self.t_ns if len(self.imu) else 0
 
     @property
     def image(self) -> ImageRef:

@@ -16,7 +16,7 @@ NAMES = (
     "room_loop, standstill, pure_rotation, constant_velocity, image_dropout, imu_gap, low_texture, td_offset, "
     "wrong_extrinsic, rolling_shutter, motion_blur, fisheye, level_camera, twin_rooms, building_first, "
     "building_second, kb190_camera, mei_camera, scaramuzza_camera, rational_camera, stereo, td_20ms, "
-    "rolling_shutter_20ms, unknown_extrinsics, depth_camera, street_gps"
+    "rolling_shutter_20ms, rough_extrinsics, unknown_extrinsics, depth_camera, street_gps"
 )
 
 

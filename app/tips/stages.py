@@ -35,6 +35,13 @@ STAGES: Mapping[str, Tip] = {
     "stage.frames between": Tip(
         "frames between", "Frames that the window did not keep are placed in the structure too.", source="N6"
     ),
+    "stage.time offset": Tip(
+        "time offset",
+        "Where td is estimated: how much later than believed the images were taken, by the rotations of gyroscope and "
+        "images. When it changes by a millisecond or more, the attempt is made again with it.",
+        equation="ρ_k = J_bg δb_g + (ω_k+1 − γ̂ᵀ ω_k) δtd",
+        unit="s",
+    ),
     "stage.gyroscope bias": Tip(
         "gyroscope bias",
         "The bias that makes the gyroscope turn as the images do.",

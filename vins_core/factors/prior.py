@@ -1,8 +1,8 @@
 """The prior of marginalised frames as a factor: r(x) = r_0 + J (x [-] x_0)  (seed 000.3.3.1).
 
-x [-] x_0 is (p - p_0, Log(q_0^-1 q)) for poses and extrinsics, a plain difference for speed-biases.  J stays what it
-was when the frames were marginalised (REFERENCE G4); its derivative with respect to the tangent at the *current* x
-is J times that of Log, for a rotation difference phi the inverse right Jacobian of SO(3):
+x [-] x_0 is (p - p_0, Log(q_0^-1 q)) for poses and extrinsics, a plain difference for speed-biases and td.  J stays
+what it was when the frames were marginalised (REFERENCE G4); its derivative with respect to the tangent at the
+*current* x is J times that of Log, for a rotation difference phi the inverse right Jacobian of SO(3):
 
     d Log(Exp(phi) Exp(d)) / d d = I + [phi]x / 2 + c [phi]x^2,   c = 1/|phi|^2 - (1 + cos|phi|) / (2 |phi| sin|phi|)
 """

@@ -14,6 +14,10 @@ three kinds (REFERENCE O11):
 where b_1, b_2 span the tangent plane of the unit sphere at the measured ray f_j.  Both do not change when p_c is
 scaled, so the chain carries lambda p_c in homogeneous form: lambda = 0 is a point at infinity, nothing divides by it.
 The sphere form takes any ray f_j, the plane form needs f_j.z > 0.
+
+Where the time offset td is a variable, both rays are those at the time of their poses (REFERENCE O7): with x =
+f.xy / f.z and its velocity v, x(td) = x - (td - td_0) v, where the rays given are those at td_0.  The unit ray moves
+with df/dt = z ((v, 0) - f (f'(v, 0))).
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from ..geometry.inverse_depth import bearing
+from ..geometry.inverse_depth import MIN_RAY_Z, bearing
 from .factor import Block, Factor, pose, vector
 from .symbolic import Pose
 
@@ -35,6 +39,7 @@ Kind = Literal["mono", "cross", "same"]
 BLOCKS = (pose("pose_i"), pose("pose_j"), pose("extrinsic"), vector("inv_depth", 1))
 CROSS_BLOCKS = (*BLOCKS[:2], pose("extrinsic_i"), pose("extrinsic_j"), BLOCKS[3])
 SAME_BLOCKS = CROSS_BLOCKS[2:]
+TD = vector("td", 1)
 
 
 def _point_in_camera_j(values: list, anchor: ca.SX) -> ca.SX:
@@ -77,6 +82,26 @@ KINDS: dict[Kind, dict[str, Factor]] = {
 """kind -> form -> factor."""
 
 
+def _with_td(held: Factor) -> Factor:
+    """`held` with td as a variable before the inverse depth; to its data comes what `motion` gives."""
+    n = held.n_data
+
+    def residual(values: list, data: ca.SX) -> ca.SX:
+        *cameras, td, inv_depth = values
+        anchor, rest, moves_anchor, moves_r, td_0 = ca.vertsplit(data, [0, 3, n, n + 3, n + 5, n + 6])
+        late = td - td_0
+        r = held.residual([*cameras, inv_depth], ca.vertcat(anchor - late * moves_anchor, rest))
+        return r + late * moves_r
+
+    return Factor(f"{held.name}_td", (*held.blocks[:-1], TD, held.blocks[-1]), n + 6, residual)
+
+
+TIMED: dict[Kind, dict[str, Factor]] = {
+    kind: {form: _with_td(factor) for form, factor in forms.items()} for kind, forms in KINDS.items()
+}
+"""The same with the time offset as a variable."""
+
+
 def tangent_basis(rays: np.ndarray) -> np.ndarray:
     """Two orthonormal directions orthogonal to each unit ray, (n, 3) -> (n, 2, 3).
 
@@ -101,3 +126,30 @@ def measurement(form: str, rays_i: np.ndarray, rays_j: np.ndarray, sqrt_info: fl
     if form == "plane":
         return np.concatenate([anchor.T, (rays_j[:, :2] / rays_j[:, 2:]).T, scale])
     return np.concatenate([anchor.T, tangent_basis(rays_j).reshape(-1, 6).T, scale])
+
+
+def motion(
+    form: str,
+    rays_i: np.ndarray,
+    rays_j: np.ndarray,
+    velocity_i: np.ndarray,
+    velocity_j: np.ndarray,
+    td_0: float,
+    sqrt_info: float,
+) -> np.ndarray:
+    """What the factors with td take besides `measurement`, (6, n): how fast anchor and residual move, and td_0.
+
+    Rays are those at td_0; `velocity_i`, `velocity_j` (n, 2) are their d(x/z, y/z)/dt, 1/s.
+    """
+    on_plane = np.column_stack([velocity_i, np.zeros(len(velocity_i))])
+    moves_anchor = np.where(rays_i[:, 2:] > MIN_RAY_Z, on_plane, _turn(rays_i, velocity_i))  # as `bearing`
+    moves_r = velocity_j.T
+    if form != "plane":
+        moves_r = np.einsum("nki,ni->kn", tangent_basis(rays_j), _turn(rays_j, velocity_j))
+    return np.concatenate([moves_anchor.T, sqrt_info * moves_r, np.full((1, len(rays_j)), td_0)])
+
+
+def _turn(rays: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """df/dt (n, 3) of unit rays."""
+    along_plane = np.column_stack([rays[:, 2:] * velocity, np.zeros(len(rays))])
+    return along_plane - rays * np.sum(rays * along_plane, 1, keepdims=True)

@@ -45,10 +45,10 @@ class TrackLedger:
         if len(self):
             assert self.image is not None
             before, dt_s = self.rays, (image.t_ns - self.image.t_ns) * 1e-9
-            in_front = ((before[:, 2] > 0) & (rays[:, 2] > 0))[:, None]  # elsewhere there is no plane to move on
+            same_side = (before[:, 2] * rays[:, 2] > 0)[:, None]  # no velocity for what crosses z = 0
             with np.errstate(divide="ignore", invalid="ignore"):
                 velocity = (rays[:, :2] / rays[:, 2:] - before[:, :2] / before[:, 2:]) / dt_s
-            self.velocity = np.where(in_front, velocity, 0.0).astype(np.float32)
+            self.velocity = np.where(same_side, velocity, 0.0).astype(np.float32)
         self.image, self.uv_px, self.rays, self.age = image, uv_px, rays, self.age + np.int32(1)
 
     def add(self, uv_px: np.ndarray, rays: np.ndarray) -> None:

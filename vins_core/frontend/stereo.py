@@ -94,7 +94,7 @@ def _velocity(ids: np.ndarray, rays: np.ndarray, found: np.ndarray, before: Trac
     if earlier is None or before.image is None or t_ns <= before.image.t_ns:
         return velocity
     _, now, then = np.intersect1d(ids, earlier.ids, assume_unique=True, return_indices=True)
-    both = found[now] & (rays[now, 2] > 0) & (earlier.rays[then, 2] > 0)
+    both = found[now] & (rays[now, 2] * earlier.rays[then, 2] > 0)
     now, then = now[both], then[both]
     moved = rays[now, :2] / rays[now, 2:] - earlier.rays[then, :2] / earlier.rays[then, 2:]
     velocity[now] = moved / ((t_ns - before.image.t_ns) * 1e-9)

@@ -19,7 +19,7 @@ from ..sensors import Calibration, ImuNoise
 from ..window.keyframe import FOCAL_460
 from ..window.slide import restrict
 from ..window.state import TRIANGULATED, Landmarks, WindowFrame, WindowState
-from . import gyro_bias
+from . import gyro_bias, time_offset
 from .alignment import Alignment, align, refine_gravity
 from .bundle import Structure
 from .motion import excitation, references
@@ -67,6 +67,9 @@ def initialize(
         return attempt.failed()
 
     p_l_c, R_l_b = Ts_l_c[:, :3, 3], Ts_l_c[:, :3, :3] @ T_b_c[:3, :3].T
+    if window.calibrates.td:
+        attempt.td_s, stage = time_offset.estimate(params.online, window.td_s, R_l_b, imu)
+        attempt.passes(stage)
     attempt.b_g, imu, stage = gyro_bias.calibrate(init, noise, R_l_b, imu)
     if not attempt.passes(stage):
         return attempt.failed()
@@ -106,6 +109,7 @@ class _Attempt:
     scale: float = np.nan
     gravity: np.ndarray | None = None
     b_g: np.ndarray | None = None
+    td_s: float | None = None
 
     def passes(self, stage: InitStage) -> bool:
         self.stages.append(stage)
@@ -117,7 +121,7 @@ class _Attempt:
 
     def report(self, succeeded: bool) -> InitReport:
         scale = self.scale if np.isfinite(self.scale) else None
-        return InitReport(tuple(self.stages), succeeded, self.reference_slot, scale, self.gravity, self.b_g)
+        return InitReport(tuple(self.stages), succeeded, self.reference_slot, scale, self.gravity, self.b_g, self.td_s)
 
     def failed(self) -> tuple[None, InitReport]:
         return None, self.report(succeeded=False)

@@ -24,7 +24,7 @@ from ..window.assemble import assemble, solve_report, unpack
 from ..window.locate import locate
 from ..window.slide import restrict
 from ..window.state import TRIANGULATED, Landmarks, WindowFrame, WindowState
-from . import gyro_bias
+from . import gyro_bias, time_offset
 from .alignment import align, refine_gravity
 from .bundle import Structure
 from .refinement import Motion, bias_prior
@@ -41,10 +41,10 @@ def initialize(params: Params, calibration: Calibration, window: WindowState) ->
     """
     init, noise, g_norm = params.init, calibration.noise, calibration.gravity_m_s2
     stages: list[InitStage] = []
-    gravity = b_g = None
+    gravity = b_g = td_s = None
 
     def report(succeeded: bool) -> InitReport:
-        return InitReport(tuple(stages), succeeded, 0, 1.0 if succeeded else None, gravity, b_g)
+        return InitReport(tuple(stages), succeeded, 0, 1.0 if succeeded else None, gravity, b_g, td_s)
 
     def passes(stage: InitStage) -> bool:
         stages.append(stage)
@@ -61,6 +61,9 @@ def initialize(params: Params, calibration: Calibration, window: WindowState) ->
         return None, report(False)
 
     p, R = np.array([f.p_w_b for f in placed.frames]), so3.to_matrix(np.array([f.q_w_b for f in placed.frames]))
+    if window.calibrates.td:
+        td_s, stage = time_offset.estimate(params.online, window.td_s, R, imu)
+        passes(stage)
     b_g, imu, stage = gyro_bias.calibrate(init, noise, R, imu)
     if not passes(stage):
         return None, report(False)

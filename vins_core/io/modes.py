@@ -96,10 +96,10 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
         notes.append("loops: not closed, since without an IMU nothing shows where down is")
     if calibration.cameras[0].depth:
         notes.append(f"depth of {calibration.cameras[0].name}: depth images are not supported yet and not used")
-    if calibration.estimate_td:
-        notes.append("estimate_td: estimating td is not supported yet, the given value is used")
-    if calibration.extrinsics == "refine":
-        notes.append("estimate_extrinsic: estimating the extrinsics is not supported yet, the given values are used")
+    if calibration.extrinsics == "refine" and not used.has_imu:
+        notes.append(
+            "estimate_extrinsic: without an IMU nothing tells where the cameras are; the given values are used"
+        )
     if calibration.extrinsics == "unknown" and mode != "stereo":
         p = used.cameras[0].T_b_c[:3, 3]
         position = "zero" if not p.any() else f"{np.array2string(p, precision=3)} m, as given"
@@ -107,8 +107,6 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
             f"estimate_extrinsic: the rotation of {used.cameras[0].name} is found before initialising, by turning; "
             f"its position in the IMU starts at {position}"
         )
-    if used.cameras[0].readout_s:
-        notes.append("rolling_shutter: rolling shutter is not supported yet, the image is taken as exposed at once")
     return used, tuple(notes)
 
 

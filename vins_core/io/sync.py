@@ -6,7 +6,7 @@ import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,13 @@ LEAD_IN_NS = 10 * 10**9
 """How much IMU before its frame the first packet holds at most."""
 STEREO_TOLERANCE_NS = 3_000_000
 """Largest difference between the stamps of a pair (VINS-Fusion: 0.003 s)."""
+
+
+@dataclass
+class TimeOffset:
+    """The td that the next packet is cut by: a run that estimates it sets it after each frame (REFERENCE S6)."""
+
+    td_s: float
 
 
 class FrequencyControl:
@@ -111,9 +118,11 @@ def packets(
     params: Params,
     start_s: float | None = None,
     duration_s: float | None = None,
+    offset: TimeOffset | None = None,
 ) -> Iterator[Packet]:
     """Frames with what belongs to them, streaming; `start_s` and `duration_s` count from the first image.
 
+    `offset`: the time offset to follow, by default that of the calibration throughout.
     Uses the topics that the calibration names.  Raises RecordingError when images and IMU do not overlap and
     CalibrationError when the images have another size than the calibrated camera, both before the first packet.
     """
@@ -121,7 +130,8 @@ def packets(
     first = _check(recording, calibration)
     start_ns = first.t_ns + round((start_s or 0.0) * 1e9)
     stop_ns = None if duration_s is None else start_ns + round(duration_s * 1e9)
-    return _packets(recording, calibration, params, start_ns, stop_ns)
+    offset = offset or TimeOffset(calibration.td_of(0))
+    return _packets(recording, calibration, params, start_ns, stop_ns, offset)
 
 
 def _check(recording: Recording, calibration: Calibration) -> ImageRef:
@@ -153,9 +163,14 @@ def _check_overlap(recording: Recording, td_ns: int) -> None:
 
 
 def _packets(
-    recording: Recording, calibration: Calibration, params: Params, start_ns: int, stop_ns: int | None
+    recording: Recording,
+    calibration: Calibration,
+    params: Params,
+    start_ns: int,
+    stop_ns: int | None,
+    offset: TimeOffset,
 ) -> Iterator[Packet]:
-    assembler = _Assembler(recording, calibration, params)
+    assembler = _Assembler(recording, calibration, params, offset)
     held: Packet | None = None  # the newest packet, so that what is noticed after the last frame is not lost
     over = False
     for event in recording.events():
@@ -195,11 +210,12 @@ def _packets(
 class _Assembler:
     """Images wait here until the IMU has reached them; those that are frames leave as packets."""
 
-    def __init__(self, recording: Recording, calibration: Calibration, params: Params) -> None:
+    def __init__(self, recording: Recording, calibration: Calibration, params: Params, offset: TimeOffset) -> None:
         self.image_stream = recording.stream(recording.image_topics[0])
         self.imu_stream = recording.stream(recording.imu_topic) if calibration.has_imu else None
         self.waiting: deque[ImageRef] = deque()
-        self._td_ns = round(calibration.td_of(0) * 1e9)
+        self._offset = offset
+        self._half_readout_s = 0.5 * calibration.cameras[0].readout_s if params.online.rolling_shutter else 0.0
         self._images_watch = image_watch(self.image_stream.topic, self.image_stream.rate_hz)
         self._imu_watch = ImuWatch(self.imu_stream.topic, self.imu_stream.rate_hz) if self.imu_stream else None
         gps = recording.gps_topic
@@ -215,6 +231,11 @@ class _Assembler:
         self._depths: list[DepthRef | None] = []  # of camera 0's
         self._anomalies: list[Anomaly] = []
         self._frame = 0
+
+    @property
+    def _td_ns(self) -> int:
+        """From the stamp of an image to the time of its middle row on the IMU's clock."""
+        return round((self._offset.td_s + self._half_readout_s) * 1e9)
 
     def add_sample(self, sample: ImuMessage) -> None:
         assert self._imu_watch is not None

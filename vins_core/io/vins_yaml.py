@@ -75,7 +75,7 @@ def read(keys: Keys) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
         cameras=cameras,
         noise=_noise(keys) if has_imu else _no_imu(keys),
         gravity_m_s2=_gravity(keys) if has_imu or "g_norm" in keys else 9.81,
-        td_s=_td(keys) if has_imu or "td" in keys else 0.0,
+        td_s=_td(keys) - 0.5 * cameras[0].readout_s if has_imu or "td" in keys else 0.0,  # theirs is the middle row's
         imu_topic=keys.text("imu_topic", "the IMU's topic") if has_imu else "",
         sources=(str(keys.path),),
         has_imu=has_imu,

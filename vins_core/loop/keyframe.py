@@ -10,9 +10,10 @@ import numpy as np
 
 from ..geometry import inverse_depth, se3
 from ..geometry.camera import CameraModel
-from ..window.assemble import gather_tracks
+from ..window.assemble import tracks_of
 from ..window.landmarks import camera_poses
 from ..window.state import TRIANGULATED, WindowState
+from ..window.timing import seen_at
 from .consistency import Node
 from .describe import Describer
 from .index import InvertedIndex
@@ -71,7 +72,7 @@ def describe_keyframe(
     vocabulary.require(describer.name)
     frame = window.frames[slot]
     ids, points_w = landmarks_seen(window, slot)
-    seen = frame.observations
+    seen = seen_at(frame, window.td_s)
     known = np.searchsorted(seen.ids, ids)
     order = np.concatenate([known, np.setdiff1d(np.arange(len(seen)), known)])
     features = describer(image, seen.uv_px[order], max_corners, usable)
@@ -93,7 +94,7 @@ def describe_keyframe(
 
 def landmarks_seen(window: WindowState, slot: int) -> tuple[np.ndarray, np.ndarray]:
     """Ids (n,) and positions (n, 3) of the landmarks that the frame in `slot` sees, increasing in id."""
-    tracks, table = gather_tracks(window.frames), window.landmarks
+    tracks, table = tracks_of(window), window.landmarks
     row = np.searchsorted(table.ids, tracks.ids)
     inv_depth = np.where(table.status[row] == TRIANGULATED, table.inv_depth[row], np.nan)
     usable = (inv_depth > 0) & (tracks.anchor < slot)

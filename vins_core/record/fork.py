@@ -104,7 +104,7 @@ def _packets(run: RunReader, at: int, params: Params) -> Iterator[Packet]:
     if all(run.header.params_at(k).frontend.freq == params.frontend.freq for k in begins):
         return recorded
     last_frame_ns = run.summary(at - 1).t_ns if at else None
-    return regroup(recorded, params.frontend, run.header.calibration.td_s, at, last_frame_ns)
+    return regroup(recorded, params.frontend, at, last_frame_ns)
 
 
 def _expect(run: RunReader, at: int, params: Params, frames: int | None) -> int:

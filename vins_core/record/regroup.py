@@ -13,16 +13,13 @@ from ..params import Frontend
 from ..sensors import Anomaly, GpsFix, ImageRef, Packet
 
 
-def regroup(
-    packets: Iterable[Packet], params: Frontend, td_s: float, number: int, last_frame_ns: int | None
-) -> Iterator[Packet]:
+def regroup(packets: Iterable[Packet], params: Frontend, number: int, last_frame_ns: int | None) -> Iterator[Packet]:
     """The images and IMU samples of consecutive `packets` as packets at `params.freq`, numbered from `number` on.
 
     The clock of the frequency control starts at the frame before, `last_frame_ns`, or else at the first image.
     An image in a gap of the IMU is only tracked.  Where a frame falls between two samples, the recorded one that was
     interpolated there stays in, which changes an integral by less than interpolation does.
     """
-    td_ns = round(td_s * 1e9)
     control, queue, watch = FrequencyControl(params.freq, params.max_gap_s), ImuQueue(), None
     if last_frame_ns is not None:
         control.is_due(last_frame_ns)
@@ -41,7 +38,7 @@ def regroup(
         inertial = len(packet.imu) > 0
         for image, right in packet.pairs:
             images += [image] if right is None else [image, right]
-            t_imu_ns = image.t_ns + td_ns
+            t_imu_ns = image.t_ns + packet.late_ns
             if control.is_due(image.t_ns) and not (inertial and queue.in_gap(t_imu_ns)):
                 control.publish(image.t_ns)
                 imu = queue.cut(t_imu_ns) if inertial else packet.imu

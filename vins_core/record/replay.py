@@ -9,6 +9,7 @@ import numpy as np
 
 from ..clock import stopwatch
 from ..fusion import conclusion
+from ..io.sync import TimeOffset
 from ..mapping.places import Places
 from ..pipeline import RunState, step
 from ..report import FrameSummary, Timings, summarize
@@ -47,16 +48,19 @@ def estimate(
     cancelled: Callable[[], bool] = lambda: False,
     poses: int = 0,
     places: Places | None = None,
+    offset: TimeOffset | None = None,
 ) -> Result:
     """Step through `arriving` from `state`, append every frame, close the record.
 
-    `poses`: how many the record holds already.  `places`: what loops are closed with.  `cancelled` is asked after each
-    frame.
+    `poses`: how many the record holds already.  `places`: what loops are closed with.  `offset`: what `arriving` cuts
+    the IMU by, told of every estimate of the time offset.  `cancelled` is asked after each frame.
     """
     images = _TimedImages(source)
     for packet in arriving:
         state, report, ms = step(header.params, header.calibration, images, state, packet, places)
         ms = images.take_decoding_out_of(ms)
+        if offset is not None:
+            offset.td_s = state.window.td_s
         writer.append(report, ms, packet, state)
         poses += report.pose is not None
         progress(Progress(len(writer), header.expected_frames, poses, summarize(report, ms)))

@@ -79,6 +79,7 @@ class Scenario:
     imu_gaps: tuple[Interval, ...] = ()
     believed_td_s: float = 0.0  # what the calibration says
     believed_rotation_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of R_b_c, about the camera's axes
+    believed_translation_error_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of p_b_c, along the body's axes
     believed_extrinsics: ExtrinsicKnowledge = "fixed"  # "unknown": the calibration has the identity
     estimate_td: bool = False  # what the calibration asks for
     parameters: Mapping[str, Any] = field(default_factory=lambda: {"frontend.min_dist": 15})  # images are small
@@ -201,6 +202,14 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
         "rolling_shutter_20ms": Scenario(
             "The room loop with rows read one after another within 20 ms from the stamp on, as the calibration says.",
             exposure=Exposure(readout_s=0.020, stamped_row=0.0),
+        ),
+        "rough_extrinsics": Scenario(
+            "The room loop with a calibration whose camera is turned by 1.5 degrees and 2.3 cm off, and that asks for "
+            "the extrinsics to be refined.",
+            believed_rotation_error_deg=(1.0, -1.0, 0.5),
+            believed_translation_error_m=(0.015, -0.01, 0.015),
+            believed_extrinsics="refine",
+            duration_s=28.0,
         ),
         "unknown_extrinsics": Scenario(
             "The room loop with a calibration that does not know how the camera is mounted.",

@@ -24,6 +24,7 @@ T0_NS = 1_700_000_000_000_000_000  # stamp of the first IMU sample
 LEAD_S = 0.1  # the IMU begins this long before the first image and ends as long after the last
 TRUTH_EVERY = 2  # IMU samples
 MAX_DURATION_S = 600.0
+IDENTITY = np.eye(4)
 IMAGE_TOPICS, IMU_TOPIC, TRUTH_TOPIC = ("/cam0/image_raw", "/cam1/image_raw"), "/imu0", "/groundtruth"
 DEPTH_TOPIC, GPS_TOPIC = "/depth0/image_raw", "/gps0"
 _IMU_STREAM, _IMAGE_STREAM, _DEPTH_STREAM, _GPS_STREAM = 10, 11, 12, 13  # of the seeded randomness
@@ -152,7 +153,7 @@ def build(name: str, scenario: Scenario, seed: int = 1, duration_s: float | None
         ),
         image_t_ns + T0_NS,
         _believed(scenario),
-        _calibration(scenario, scenario.td_s, (0.0, 0.0, 0.0)),
+        _calibration(scenario, scenario.td_s),
         *_fixes(scenario, motion, duration_s, seed),
     )
 
@@ -182,21 +183,25 @@ def _outside(t_ns: np.ndarray, intervals: tuple[Interval, ...]) -> np.ndarray:
 
 def _believed(scenario: Scenario) -> Calibration:
     """What the user has."""
-    calibration = _calibration(scenario, scenario.believed_td_s, scenario.believed_rotation_error_deg)
+    error = np.eye(4)
+    error[:3, :3] = so3.to_matrix(so3.exp(np.radians(scenario.believed_rotation_error_deg)))
+    shift = np.eye(4)
+    shift[:3, 3] = scenario.believed_translation_error_m
+    calibration = _calibration(scenario, scenario.believed_td_s, shift, error)
     if scenario.believed_extrinsics == "unknown":
         cameras = tuple(replace(camera, T_b_c=np.eye(4)) for camera in calibration.cameras)
         calibration = replace(calibration, cameras=cameras)
     return replace(calibration, estimate_td=scenario.estimate_td, extrinsics=scenario.believed_extrinsics)
 
 
-def _calibration(scenario: Scenario, td_s: float, rotation_error_deg: tuple[float, float, float]) -> Calibration:
-    """`rotation_error_deg`: of each R_b_c.  A readout that is not stamped with its first row is not in there."""
-    error = np.eye(4)
-    error[:3, :3] = so3.to_matrix(so3.exp(np.radians(rotation_error_deg)))
+def _calibration(
+    scenario: Scenario, td_s: float, before: np.ndarray = IDENTITY, behind: np.ndarray = IDENTITY
+) -> Calibration:
+    """Each T_b_c is `before` @ the true one @ `behind`.  A readout not stamped with its first row is not in there."""
     exposure = scenario.exposure
     readout_s = exposure.readout_s if exposure.stamped_row == 0.0 else 0.0
     cameras = tuple(
-        CameraCalibration(f"cam{i}", scenario.rig.camera, T_b_c @ error, IMAGE_TOPICS[i], readout_s=readout_s)
+        CameraCalibration(f"cam{i}", scenario.rig.camera, before @ T_b_c @ behind, IMAGE_TOPICS[i], readout_s=readout_s)
         for i, T_b_c in enumerate(scenario.rig.Ts_b_c)
     )
     if scenario.depth:

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..factors.c_source import c_function
 from ..factors.factor import Factor
-from ..factors.reprojection import KINDS, Kind, measurement
+from ..factors.reprojection import KINDS, TIMED, Kind, measurement, motion
 from ..factors.robust import Loss
 from ..geometry import so3
 from .problem import Projections, States
-from .visual_rows import NumpyRows, RowIndex, Rows, active_blocks, numbers_of_blocks
+from .visual_rows import NumpyRows, RowIndex, Rows, active_blocks, has_td, numbers_of_blocks
 
 _LOSSES = ("none", "cauchy", "huber")
 _INT, _POINTER = ctypes.c_int64, ctypes.c_void_p
@@ -30,25 +30,27 @@ class Arguments(ctypes.Structure):
         ("curved", _INT),
         ("scale", ctypes.c_double),
         *((name, _POINTER) for name in ("anchor", "observer", "landmark", "start", "place", "row", "data")),
-        *((name, _POINTER) for name in ("poses", "extrinsics", "inv_depths")),
+        *((name, _POINTER) for name in ("poses", "extrinsics", "td_s", "inv_depths")),
         *((name, _POINTER) for name in ("residuals", "squared", "packed", "W", "h", "g_l")),
     )
 
 
 @lru_cache(maxsize=1)
 def source() -> str:
-    """The whole translation unit: kernel.c and one entry for each residual, with the extrinsics held and free."""
+    """The whole translation unit: kernel.c and one entry for each residual, extrinsics and td held and free."""
     parts = [Path(__file__).with_name("kernel.c").read_text()]
     for factor, blocks in _entries():
         name, (poses, all_blocks) = _entry(factor, blocks), numbers_of_blocks(factor)
         parts.append(c_function(factor.function(active_blocks(factor, blocks)), name))
-        parts.append(f"PROJECT({name}, {poses}, {all_blocks - poses}, {factor.n_data}, {blocks})")
+        sizes = poses, all_blocks - poses, has_td(factor), factor.n_data, blocks
+        parts.append(f"PROJECT({name}, {', '.join(map(str, sizes))})")
     return "\n".join(parts) + "\n"
 
 
 def _entries() -> list[tuple[Factor, int]]:
-    """Every residual with every number of camera blocks that are differentiated."""
-    return [(f, n) for forms in KINDS.values() for f in forms.values() for n in numbers_of_blocks(f)]
+    """Every residual with every number of poses and extrinsics that are differentiated."""
+    factors = (f for kinds in (KINDS, TIMED) for forms in kinds.values() for f in forms.values())
+    return [(f, n) for f in factors for n in numbers_of_blocks(f)]
 
 
 def _entry(factor: Factor, blocks: int) -> str:
@@ -67,7 +69,7 @@ class Library:
             self._entries[name] = entry
 
     def rows(self, index: RowIndex) -> CompiledRows:
-        return CompiledRows(self._entries[_entry(index.factor, len(index.start))], index)
+        return CompiledRows(self._entries[_entry(index.factor, index.camera_blocks)], index)
 
 
 class CompiledRows:
@@ -93,6 +95,7 @@ class CompiledRows:
         inputs = {
             "poses": np.ascontiguousarray(states.poses, float),
             "extrinsics": np.ascontiguousarray(states.extrinsics[self._cameras], float),
+            "td_s": np.ascontiguousarray(states.td_s, float),
             "inv_depths": np.ascontiguousarray(states.inv_depths, float),
         }
         if states.poses.shape[1:] != (7,) or len(states.poses) < self._n_poses or states.extrinsics.shape[1:] != (7,):
@@ -113,12 +116,13 @@ def _addresses(arrays: dict[str, np.ndarray]) -> dict[str, int]:
 
 def check(library: Library) -> str:
     """Why `library` must not be used; empty when it gives the bits of NumPy on every residual and loss."""
-    for kind, forms in KINDS.items():
-        for form, factor in forms.items():
-            for blocks in numbers_of_blocks(factor):
-                for loss in (Loss("none"), Loss("cauchy", 1.0), Loss("huber", 0.7)):
-                    if difference := _compare(library, *_example(kind, form, blocks, loss)):
-                        return f"{difference} of {factor.name} with {loss}"
+    for kinds in (KINDS, TIMED):
+        for kind, forms in kinds.items():
+            for form, factor in forms.items():
+                for blocks in numbers_of_blocks(factor):
+                    for loss in (Loss("none"), Loss("cauchy", 1.0), Loss("huber", 0.7)):
+                        if difference := _compare(library, *_example(kind, form, factor, blocks, loss)):
+                            return f"{difference} of {factor.name} with {loss}"
     return ""
 
 
@@ -132,7 +136,7 @@ def _compare(library: Library, index: RowIndex, states: States) -> str:
     return ""
 
 
-def _example(kind: Kind, form: str, blocks: int, loss: Loss) -> tuple[RowIndex, States]:
+def _example(kind: Kind, form: str, factor: Factor, blocks: int, loss: Loss) -> tuple[RowIndex, States]:
     """A window of random numbers, of a size that fills the lanes of the kernel more than once but not exactly."""
     rng = np.random.default_rng(0)
     n, m, frames = 300, 40, 8
@@ -143,12 +147,16 @@ def _example(kind: Kind, form: str, blocks: int, loss: Loss) -> tuple[RowIndex, 
     observer = anchor if kind == "same" else rng.integers(anchor + 1, frames)
     cameras = (0, 0) if kind == "mono" else (0, 1)
     table = Projections(anchor, observer, landmark, rays[0], rays[1], *cameras, kind)
-    factor = KINDS[kind][form]
     starts = [] if kind == "same" else [6 * table.anchor, 6 * table.observer]
     starts += [np.full(n, 6 * (frames + camera)) for camera in sorted(set(cameras))]
-    place, width = rng.permutation(2 * n).reshape(2, n), 6 * (frames + 2)
+    place, width = rng.permutation(2 * n).reshape(2, n), 6 * (frames + 2) + 1
     data = measurement(form, rays[0], rays[1], 460.0)
-    start = np.array(starts[:blocks], np.int64).reshape(blocks, n)
+    starts = starts[:blocks]
+    if has_td(factor):
+        velocity = rng.normal(size=(2, n, 2))
+        starts.append(np.full(n, width - 1))
+        data = np.concatenate([data, motion(form, rays[0], rays[1], velocity[0], velocity[1], 0.01, 460.0)])
+    start = np.array(starts, np.int64).reshape(-1, n)
     index = RowIndex(table, factor, data, loss, rng.permutation(n), place, start, m, width)
     T = np.concatenate([rng.normal(size=(frames + 2, 3)), so3.exp(rng.normal(size=(frames + 2, 3)))], 1)
-    return index, States(T[:-2], np.zeros((frames, 9)), T[-2:], rng.uniform(-0.1, 1, m))
+    return index, States(T[:-2], np.zeros((frames, 9)), T[-2:], rng.uniform(-0.1, 1, m), np.array([0.03]))

@@ -70,9 +70,7 @@ def relative_poses(
     """
     if not pairs:
         return []
-    layout, gauge = layout_of(problem), gauge_damping(states.poses[0], not problem.inertial)
-    factor = _factor_cameras(system, gauge) if system else None  # a loss that bends H may leave it indefinite
-    factor = factor or _factor_cameras(Linearizer(problem).linearize(states), gauge)
+    layout, factor = layout_of(problem), _factor_at(problem, states, system)
     if factor is None:
         return [None] * len(pairs)
     Ts_w_b = se3.from_quaternion_translation(states.poses[:, 3:], states.poses[:, :3])
@@ -85,6 +83,28 @@ def relative_poses(
         A[at_j[:3], k, :3] = R_w_i
     half = factor.half(A.reshape(layout.size, -1)).reshape(A.shape)
     return [half[:, k].T @ half[:, k] for k in range(len(pairs))]
+
+
+def calibration_sigmas(
+    problem: WindowProblem, states: States, system: NormalEquations | None = None
+) -> tuple[float, np.ndarray]:
+    """Standard deviations of the time offset in s and of the extrinsics (cameras, 6) as in `States`; NaN where held.
+
+    `system` as in `relative_poses`.
+    """
+    layout = layout_of(problem)
+    td_s, extrinsics = np.nan, np.full((len(states.extrinsics), 6), np.nan)
+    columns = [*layout.columns("extrinsic", np.arange(layout.n_extrinsics)).ravel(), *range(layout.visual)[-1:]]
+    columns = columns if layout.n_td else columns[:-1]
+    factor = _factor_at(problem, states, system) if columns else None
+    if factor is None:
+        return td_s, extrinsics
+    sigmas = np.linalg.norm(factor.half(np.eye(layout.size)[:, columns]), axis=0)
+    if layout.n_td:
+        td_s = float(sigmas[-1])
+    if layout.n_extrinsics:
+        extrinsics = sigmas[: 6 * layout.n_extrinsics].reshape(-1, 6)
+    return td_s, extrinsics
 
 
 def ellipsoid(covariance: np.ndarray, sigmas: float = 3.0) -> tuple[np.ndarray, np.ndarray]:
@@ -109,6 +129,13 @@ class _Factor:
     def half(self, A: np.ndarray) -> np.ndarray:
         """B with B' B = A' S^-1 A."""
         return solve_triangular(self.L, A * self.scale[:, None], lower=True, check_finite=False)
+
+
+def _factor_at(problem: WindowProblem, states: States, system: NormalEquations | None) -> _Factor | None:
+    """Of the normal equations at `states`: those of `system`, unless a loss that bends H has left them indefinite."""
+    gauge = gauge_damping(states.poses[0], not problem.inertial)
+    factor = _factor_cameras(system, gauge) if system else None
+    return factor or _factor_cameras(Linearizer(problem).linearize(states), gauge)
 
 
 def _factor_cameras(system: NormalEquations, gauge: np.ndarray) -> _Factor | None:

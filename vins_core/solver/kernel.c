@@ -8,7 +8,7 @@
 #include <stdint.h>
 
 enum { LANES = 64 }; /* projections evaluated together */
-enum { POSE = 7, TANGENT = 6, MAX_DATA = 16, MAX_BLOCKS = 4 };
+enum { POSE = 7, TANGENT = 6, MAX_DATA = 24, MAX_BLOCKS = 4 };
 enum loss { NONE, CAUCHY, HUBER };
 
 typedef void evaluate_fn(const double (*restrict x)[LANES], double (*restrict y)[LANES]);
@@ -24,13 +24,14 @@ struct arguments {
   const int64_t *anchor;   /* (n,) row of poses */
   const int64_t *observer; /* (n,) row of poses */
   const int64_t *landmark; /* (n,) row of W */
-  const int64_t *start;    /* (blocks, n) first column in W of each camera block */
+  const int64_t *start;    /* (blocks, n) first column in W of each camera block, then of td */
   const int64_t *place;    /* (2, n) row of `packed` for both rows of a projection */
   const int64_t *row;      /* (n,) column of `residuals` */
   const double *data;      /* (n_data, n) */
   /* the states */
   const double *poses;      /* (frames, 7) */
   const double *extrinsics; /* (1 or 2, 7) of the cameras involved */
+  const double *td_s;       /* (1,) */
   const double *inv_depths; /* (landmarks,) */
   /* the results */
   double *residuals; /* (2, n) unweighted */
@@ -50,8 +51,8 @@ static inline double weight(enum loss loss, double scale, double s) {
 
 /* What `evaluate` reads, for the projections from `first` on; spare lanes repeat the last one. */
 static inline void gather(const struct arguments *a, int64_t first, int lanes, int n_poses, int n_extrinsics,
-                          int n_data, double (*x)[LANES]) {
-  const int held = POSE * n_poses, depth = held + POSE * n_extrinsics;
+                          int n_td, int n_data, double (*x)[LANES]) {
+  const int held = POSE * n_poses, td = held + POSE * n_extrinsics, depth = td + n_td;
   for (int l = 0; l < LANES; l++) {
     const int64_t i = first + (l < lanes ? l : lanes - 1);
     for (int k = 0; n_poses && k < POSE; k++) {
@@ -59,6 +60,7 @@ static inline void gather(const struct arguments *a, int64_t first, int lanes, i
       x[POSE + k][l] = a->poses[a->observer[i] * POSE + k];
     }
     for (int k = 0; k < n_extrinsics * POSE; k++) x[held + k][l] = a->extrinsics[k];
+    if (n_td) x[td][l] = a->td_s[0];
     x[depth][l] = a->inv_depths[a->landmark[i]];
     for (int k = 0; k < n_data; k++) x[depth + 1 + k][l] = a->data[k * a->n + i];
   }
@@ -130,13 +132,13 @@ static inline void add(const struct arguments *a, int64_t i, int l, int camera, 
   }
 }
 
-static inline void project(const struct arguments *a, evaluate_fn *evaluate, int n_poses, int n_extrinsics, int n_data,
-                           int blocks) {
-  const int camera = blocks * TANGENT; /* y: columns of the camera blocks, the inverse depth, the residual */
-  double x[MAX_BLOCKS * POSE + 1 + MAX_DATA][LANES], y[2 * (MAX_BLOCKS * TANGENT + 2)][LANES];
+static inline void project(const struct arguments *a, evaluate_fn *evaluate, int n_poses, int n_extrinsics, int n_td,
+                           int n_data, int blocks) {
+  const int camera = blocks * TANGENT + n_td; /* y: columns of camera blocks and td, the inverse depth, the residual */
+  double x[MAX_BLOCKS * POSE + 2 + MAX_DATA][LANES], y[2 * (MAX_BLOCKS * TANGENT + 3)][LANES];
   for (int64_t first = 0; first < a->n; first += LANES) {
     const int lanes = a->n - first < LANES ? (int)(a->n - first) : LANES;
-    gather(a, first, lanes, n_poses, n_extrinsics, n_data, x);
+    gather(a, first, lanes, n_poses, n_extrinsics, n_td, n_data, x);
     evaluate(x, y);
     weigh(a, first, lanes, camera + 2, y);
     for (int l = 0; l < lanes; l++) {
@@ -147,6 +149,6 @@ static inline void project(const struct arguments *a, evaluate_fn *evaluate, int
 }
 
 /* One entry for each residual and choice of free blocks: constant sizes let the compiler unroll. */
-#define PROJECT(NAME, N_POSES, N_EXTRINSICS, N_DATA, BLOCKS)                                 \
+#define PROJECT(NAME, N_POSES, N_EXTRINSICS, N_TD, N_DATA, BLOCKS)                           \
   _Static_assert(N_POSES + N_EXTRINSICS <= MAX_BLOCKS && N_DATA <= MAX_DATA && BLOCKS <= MAX_BLOCKS, "too small"); \
-  void project_##NAME(const struct arguments *a) { project(a, NAME, N_POSES, N_EXTRINSICS, N_DATA, BLOCKS); }
+  void project_##NAME(const struct arguments *a) { project(a, NAME, N_POSES, N_EXTRINSICS, N_TD, N_DATA, BLOCKS); }

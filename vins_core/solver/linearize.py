@@ -76,22 +76,23 @@ class Linearizer:
 
     def retract(self, states: States, dc: np.ndarray, dl: np.ndarray) -> States:
         """states [+] (dc, dl)."""
-        n, P = self.layout.n_poses, self.layout.visual
+        n, P, n_td = self.layout.n_poses, self.layout.visual, self.layout.n_td
         extrinsics = states.extrinsics
         if self.layout.n_extrinsics:
-            extrinsics = retract_poses(extrinsics, dc[6 * n : P].reshape(-1, 6))
+            extrinsics = retract_poses(extrinsics, dc[6 * n : P - n_td].reshape(-1, 6))
         return States(
             retract_poses(states.poses, dc[: 6 * n].reshape(n, 6)),
             states.speed_biases + dc[P:].reshape(-1, 9) if self.layout.inertial else states.speed_biases,
             extrinsics,
             states.inv_depths + dl,
+            states.td_s + dc[P - 1 : P] if n_td else states.td_s,
         )
 
 
 def layout_of(problem: WindowProblem) -> Layout:
     """The columns of its variables."""
     n_extrinsics = len(problem.initial.extrinsics) if problem.free_extrinsics else 0
-    return Layout(problem.n_frames, n_extrinsics, problem.n_places, problem.inertial)
+    return Layout(problem.n_frames, n_extrinsics, problem.n_places, problem.inertial, int(problem.free_td))
 
 
 def _sum(terms: list[VisualResult]) -> VisualResult:

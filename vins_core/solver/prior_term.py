@@ -16,8 +16,9 @@ class PriorTerm:
         self._factor = factor
         blocks = factor.blocks
         starts = np.cumsum([0] + [b.size for b in blocks])
-        poses = [k for k, b in enumerate(blocks) if b.kind != "speed_bias"]
+        poses = [k for k, b in enumerate(blocks) if b.kind in ("pose", "extrinsic")]
         speeds = [k for k, b in enumerate(blocks) if b.kind == "speed_bias"]
+        offsets = [k for k, b in enumerate(blocks) if b.kind == "td"]
         # rows of the table (poses, extrinsics), and of the speed-biases
         self._pose_rows = [
             b.slot + (layout.n_poses if b.kind == "extrinsic" else 0) for b in (blocks[k] for k in poses)
@@ -27,6 +28,7 @@ class PriorTerm:
         self._x0_speeds = np.array([factor.x0[k] for k in speeds]).reshape(-1, 9)
         self._pose_columns = starts[poses][:, None] + np.arange(6)
         self._speed_columns = starts[speeds][:, None] + np.arange(9)
+        self._td_columns, self._x0_td = starts[offsets], np.array([factor.x0[k][0] for k in offsets])
 
         # only the columns of rotations change with the states
         free = np.repeat([layout.is_free(b) for b in blocks], [b.size for b in blocks])
@@ -58,6 +60,8 @@ class PriorTerm:
         dx = np.empty(J0.shape[1])
         dx[self._pose_columns] = d
         dx[self._speed_columns] = states.speed_biases[self._speed_rows] - self._x0_speeds
+        if len(self._td_columns):
+            dx[self._td_columns] = states.td_s - self._x0_td
         J_theta = self._J_theta @ prior.inverse_right_jacobian(d[self._turning, 3:])
         system[:, self._theta] = J_theta.transpose(1, 0, 2)
         system[:, -1] = self._factor.r + J0 @ dx

@@ -8,7 +8,7 @@ frames: places, earlier keyframes that see landmarks of the window, tied to noth
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,10 +27,31 @@ class States:
     speed_biases: np.ndarray  # (n, 9) v_w_b, b_a, b_g
     extrinsics: np.ndarray  # (cameras, 7) p_b_c, q_b_c
     inv_depths: np.ndarray  # (M,) 1/m in the anchor camera (geometry/inverse_depth.py)
+    td_s: np.ndarray = field(default_factory=lambda: np.zeros(1))  # (1,) t_imu = t_image + td
 
     def value(self, variable: Variable) -> np.ndarray:
-        tables = {"pose": self.poses, "speed_bias": self.speed_biases, "extrinsic": self.extrinsics}
-        return tables[variable.kind][variable.slot]
+        return self.tables()[variable.kind][variable.slot]
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """Per kind of variable its values, a row a slot."""
+        return {
+            "pose": self.poses,
+            "speed_bias": self.speed_biases,
+            "extrinsic": self.extrinsics,
+            "td": self.td_s[None],
+        }
+
+
+@dataclass(frozen=True)
+class RayMotion:
+    """How fast the rays of projections move in their images: what the time offset does to them (REFERENCE O7)."""
+
+    velocity_i: np.ndarray  # (N, 2) d(x/z, y/z)/dt in the anchor camera, 1/s
+    velocity_j: np.ndarray  # (N, 2) in the observing camera
+    td_s: float  # the time offset at which the rays of the table are those at the time of the poses
+
+    def __getitem__(self, rows: np.ndarray | slice) -> RayMotion:
+        return replace(self, velocity_i=self.velocity_i[rows], velocity_j=self.velocity_j[rows])
 
 
 @dataclass(frozen=True)
@@ -49,6 +70,8 @@ class Projections:
     camera: int = 0  # of the anchor
     seen_by: int = 0  # camera that sees the landmark again
     kind: Kind = "mono"
+    motion: RayMotion | None = None
+    """How the rays move, where the time offset is estimated."""
 
     def __len__(self) -> int:
         return len(self.anchor)
@@ -61,6 +84,7 @@ class Projections:
             landmark=self.landmark[rows],
             rays_i=self.rays_i[rows],
             rays_j=self.rays_j[rows],
+            motion=self.motion and self.motion[rows],
         )
 
 
@@ -69,7 +93,7 @@ class PriorFactor:
     """r + J (x [-] x0) over `blocks`, whose tangents are the columns of J in this order."""
 
     blocks: tuple[Variable, ...]
-    x0: tuple[np.ndarray, ...]  # per block, (7,) or (9,)
+    x0: tuple[np.ndarray, ...]  # per block, (7,), (9,) or (1,)
     J: np.ndarray  # (n, n)
     r: np.ndarray  # (n,)
 
@@ -88,6 +112,8 @@ class WindowProblem:
     loss: Loss
     free_extrinsics: bool = False
     """Whether the extrinsics are variables; held ones cost nothing."""
+    free_td: bool = False
+    """Whether the time offset is a variable; all tables have a `motion` then."""
     stereo: tuple[Projections, ...] = ()
     """What a second camera sees of the same landmarks, a table for each kind."""
     inertial: bool = True

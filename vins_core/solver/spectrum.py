@@ -11,7 +11,7 @@ left of J n counts as knowledge: the information that leaked (Huang, Mourikis, R
 x, y and z do not depend on the estimates and never leak; yaw does.
 
 All functions take a square root J of the information, because J'J itself cannot hold a small leak beside bias
-information of 1e15.  Blocks are anything with `kind` ("pose", "speed_bias", "extrinsic") and `size`.
+information of 1e15.  Blocks are anything with `kind` ("pose", "speed_bias", "extrinsic", "td") and `size`.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def spectrum(J: np.ndarray, threshold: float) -> Spectrum:
 
 
 def gauge_directions(blocks: Sequence[Block], values: Sequence[np.ndarray]) -> np.ndarray:
-    """(n, 4) tangents of the gauge directions at the values of the blocks, (7,) or (9,) each."""
+    """(n, 4) tangents of the gauge directions at the values of the blocks, (7,), (9,) or (1,) each."""
     poses = [x[:3] for b, x in zip(blocks, values) if b.kind == "pose"]
     centroid = np.mean(poses, axis=0) if poses else np.zeros(3)
     rows = [np.zeros((b.size, 4)) for b in blocks]
@@ -107,7 +107,7 @@ def jacobian_at(
     """J of r + J (x [-] x0) with respect to the tangent at x instead of x0."""
     J, start = J.copy(), 0
     for block, a, b in zip(blocks, x0, x):
-        if block.kind != "speed_bias":
+        if block.kind in ("pose", "extrinsic"):
             turn = slice(start + 3, start + 6)
             phi = difference_poses(b[None], a[None])[:, 3:]
             J[:, turn] = J[:, turn] @ inverse_right_jacobian(phi)[0]

@@ -25,24 +25,36 @@ class RowIndex:
     loss: Loss
     row: np.ndarray  # (N,) column of `Rows.residuals`
     place: np.ndarray  # (2, N) rows of `packed` for both rows of each projection
-    start: np.ndarray  # (camera blocks, N) first column in W of each camera block
+    start: np.ndarray  # (blocks, N) first column in W of each block but the inverse depth that is differentiated
     n_landmarks: int
     width: int  # columns of W
 
     @property
+    def camera_blocks(self) -> int:
+        """Poses and extrinsics that are differentiated."""
+        return len(self.start) - has_td(self.factor)
+
+    @property
     def camera_columns(self) -> int:
         """c: columns of J without that of the inverse depth."""
-        return 6 * len(self.start)
+        return 6 * self.camera_blocks + has_td(self.factor)
+
+
+def has_td(factor: Factor) -> int:
+    """1 when the time offset is a block of `factor`; it is always differentiated then."""
+    return int(factor.blocks[-2].name == "td")
 
 
 def active_blocks(factor: Factor, camera_blocks: int) -> tuple[str, ...]:
-    """The blocks that are differentiated: the poses, the extrinsics when there is room for them, the inverse depth."""
-    return (*(block.name for block in factor.blocks[:-1][:camera_blocks]), "inv_depth")
+    """The blocks that are differentiated: poses, extrinsics when there is room for them, td, the inverse depth."""
+    always = factor.blocks[-1 - has_td(factor) :]
+    return tuple(block.name for block in (*factor.blocks[:camera_blocks], *always))
 
 
 def numbers_of_blocks(factor: Factor) -> tuple[int, int]:
-    """How many blocks of cameras are differentiated with the extrinsics held, and with them free."""
-    return sum(block.name.startswith("pose") for block in factor.blocks), len(factor.blocks) - 1
+    """How many poses and extrinsics are differentiated with the extrinsics held, and with them free."""
+    poses = sum(block.name.startswith("pose") for block in factor.blocks)
+    return poses, len(factor.blocks) - 1 - has_td(factor)
 
 
 @dataclass(frozen=True)
@@ -72,14 +84,16 @@ class NumpyRows:
         self._index = index
         n, c = len(index.table), index.camera_columns
         factor = index.factor
-        self._held, _ = numbers_of_blocks(factor)
-        extrinsics = tuple(block.name for block in factor.blocks[self._held : -1])
-        self._batch = factor.batch(n, active_blocks(factor, len(index.start)), uniform=extrinsics)
+        self._held, self._cameras = numbers_of_blocks(factor)
+        common = tuple(block.name for block in factor.blocks[self._held : -1])  # extrinsics and td
+        self._batch = factor.batch(n, active_blocks(factor, index.camera_blocks), uniform=common)
         self._batch.data[:] = index.data
         self._source = np.empty(2 * n, np.int64)  # of each row of `packed`
         self._source[index.place.reshape(-1)] = np.arange(2 * n)
         self.packed = np.empty((2 * n, c + 1))
-        columns = (index.start[:, None] + np.arange(6)[:, None]).reshape(c, n)
+        sizes = [6] * index.camera_blocks + [1] * has_td(factor)
+        within = np.concatenate([np.arange(0), *map(np.arange, sizes)])
+        columns = np.repeat(index.start, sizes, axis=0) + within[:, None]
         self._in_W = (index.table.landmark * index.width + columns).reshape(-1)
 
     def evaluate(self, states: States, curved: bool = False) -> Rows:
@@ -104,8 +118,10 @@ class NumpyRows:
             poses = np.ascontiguousarray(states.poses.T)
             poses.take(table.anchor, 1, batch.inputs[0], "clip")
             poses.take(table.observer, 1, batch.inputs[1], "clip")
-        for extrinsic, camera in zip(batch.inputs[self._held : -1], (table.camera, table.seen_by)):
+        for extrinsic, camera in zip(batch.inputs[self._held : self._cameras], (table.camera, table.seen_by)):
             extrinsic[:] = states.extrinsics[camera]
+        if self._cameras < len(batch.inputs) - 1:
+            batch.inputs[self._cameras][:] = states.td_s
         states.inv_depths.take(table.landmark, 0, batch.inputs[-1][0], "clip")
         system = batch.system
         with np.errstate(all="ignore"):  # a point in the camera's plane gives no finite cost, and the step is rejected

@@ -40,6 +40,8 @@ class VisualTerm:
         if layout.n_extrinsics:
             cameras = (table.camera,) if table.kind == "mono" else (table.camera, table.seen_by)
             blocks += [layout.columns("extrinsic", np.full(len(first), camera)) for camera in cameras]
+        if layout.n_td:
+            blocks.append(layout.columns("td", np.zeros(len(first), np.int64)))
         none = np.zeros((len(first), 0), np.int64)
         self.columns = np.concatenate(blocks, 1) if blocks else none  # (pairs, c)
 
@@ -47,8 +49,8 @@ class VisualTerm:
         place = first[pair] + np.arange(n)
         self.index = RowIndex(
             table,
-            reprojection.KINDS[table.kind][problem.residual],
-            reprojection.measurement(problem.residual, table.rays_i, table.rays_j, problem.sqrt_info),
+            (reprojection.TIMED if layout.n_td else reprojection.KINDS)[table.kind][problem.residual],
+            _measurement(problem, table, timed=layout.n_td > 0),
             problem.loss,
             row=order,
             place=np.stack([place, place + length[pair]]),
@@ -68,3 +70,14 @@ class VisualTerm:
         with np.errstate(all="ignore"):
             cost = 0.5 * float(self.index.loss.rho(rows.squared).sum())
         return cost, rows.residuals, (rows.W, rows.h, rows.g_l)
+
+
+def _measurement(problem: WindowProblem, table: Projections, timed: bool) -> np.ndarray:
+    """The data of the factor, (n_data, N)."""
+    data = reprojection.measurement(problem.residual, table.rays_i, table.rays_j, problem.sqrt_info)
+    if not timed:
+        return data
+    assert table.motion is not None
+    seen = table.rays_i, table.rays_j, table.motion.velocity_i, table.motion.velocity_j
+    moving = reprojection.motion(problem.residual, *seen, table.motion.td_s, problem.sqrt_info)
+    return np.concatenate([data, moving])

@@ -1,26 +1,28 @@
 """From the window to a least-squares problem and back.
 
-`gather_tracks` lines up what each track was seen as in the frames of a window; `assemble` chooses the landmarks that
+`tracks_of` lines up what each track was seen as in the frames of a window; `assemble` chooses the landmarks that
 enter the solve and builds the factor tables; `unpack` writes solved states into a new window; `solve_report` and
 `inv_depth_sigma` explain the result.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..factors.reprojection import FOCAL_PX, Kind
 from ..factors.robust import Loss
-from ..geometry import so3
+from ..geometry import se3, so3
 from ..geometry.inverse_depth import MIN_RAY_Z
 from ..params import Params
 from ..report import SolveReport
 from ..solver.layout import Variable
-from ..solver.problem import PriorFactor, Projections, States, WindowProblem, hold_oldest
+from ..solver.problem import PriorFactor, Projections, RayMotion, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
 from .state import OUTLIER, Landmarks, Observations, WindowFrame, WindowState
+from .timing import referred_to, right_velocity
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Tracks:
     rays: np.ndarray  # (O, 3) unit rays
     uv_px: np.ndarray  # (O, 2) float32
     right: np.ndarray | None = None  # (O, 3) unit rays in the second camera, NaN where it does not see the track
+    velocity: np.ndarray | None = None  # (O, 2) d(x/z, y/z)/dt of rays, where the time offset is estimated
+    right_velocity: np.ndarray | None = None  # (O, 2) likewise of right
 
     @property
     def anchor(self) -> np.ndarray:
@@ -57,9 +61,15 @@ class Tracks:
         return np.bincount(self.track, ~np.isnan(self.right[:, 0]), len(self.ids)) > 0
 
 
-def gather_tracks(frames: tuple[WindowFrame, ...]) -> Tracks:
-    """The tracks of `frames`, oldest first."""
+def tracks_of(window: WindowState) -> Tracks:
+    """The tracks of a window, as seen at the times of its poses."""
+    return gather_tracks(tuple(referred_to(f, window.td_s) for f in window.frames), window.knows_td)
+
+
+def gather_tracks(frames: tuple[WindowFrame, ...], moving: bool = False) -> Tracks:
+    """The tracks of `frames`, oldest first; `moving`: with their velocities."""
     observations = [f.observations for f in frames]
+    stereo = any(o.right is not None for o in observations)
     ids = np.concatenate([o.ids for o in observations])
     order = np.argsort(ids, kind="stable")  # frames come oldest first, so equal ids stay in slot order
     ids = ids[order]
@@ -71,17 +81,21 @@ def gather_tracks(frames: tuple[WindowFrame, ...]) -> Tracks:
         slots[order],
         np.concatenate([o.rays for o in observations])[order],
         np.concatenate([o.uv_px for o in observations])[order],
-        _right_rays(observations)[order] if any(o.right is not None for o in observations) else None,
+        _of_right(observations, lambda o, right: right.rays, 3)[order] if stereo else None,
+        np.concatenate([o.velocity for o in observations])[order].astype(float) if moving else None,
+        _of_right(observations, right_velocity, 2)[order] if stereo and moving else None,
     )
 
 
-def _right_rays(observations: list[Observations]) -> np.ndarray:
-    """(O, 3), NaN where the second camera does not see what the first one does."""
-    rays = [np.full((len(o), 3), np.nan) for o in observations]
-    for mine, o in zip(rays, observations):
+def _of_right(
+    observations: list[Observations], value: Callable[[Observations, Observations], np.ndarray], size: int
+) -> np.ndarray:
+    """(O, size), NaN where the second camera does not see what the first one does."""
+    rows = [np.full((len(o), size), np.nan) for o in observations]
+    for mine, o in zip(rows, observations):
         if o.right is not None:
-            mine[np.searchsorted(o.ids, o.right.ids)] = o.right.rays
-    return np.concatenate(rays)
+            mine[np.searchsorted(o.ids, o.right.ids)] = value(o, o.right)
+    return np.concatenate(rows)
 
 
 @dataclass(frozen=True)
@@ -102,7 +116,7 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
     second camera has seen needs no parallax between frames and may be anchored in any.
     """
     frames = window.frames
-    tracks = gather_tracks(frames)
+    tracks = tracks_of(window)
     table = window.landmarks
     row = np.minimum(np.searchsorted(table.ids, tracks.ids), max(len(table) - 1, 0))
     inv_depth, usable = np.zeros(len(tracks.ids)), np.zeros(len(tracks.ids), bool)
@@ -126,6 +140,7 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         landmark[track],
         tracks.rays[tracks.start[track]],
         tracks.rays[observation],
+        motion=_motion(tracks, tracks.velocity, track, observation, window.td_s),
     )
     problem = WindowProblem(
         States(
@@ -133,6 +148,7 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
             np.array([np.concatenate([f.v_w_b, f.b_a, f.b_g]) for f in frames]),
             np.concatenate([window.T_b_c[:, :3, 3], so3.from_matrix(window.T_b_c[:, :3, :3])], 1),
             inv_depth[usable],
+            np.array([window.td_s]),
         ),
         projections,
         tuple(
@@ -145,14 +161,14 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         params.projection.residual,
         FOCAL_PX / params.window.pixel_sigma,
         Loss(params.window.loss, params.window.loss_scale),
-        stereo=() if tracks.right is None else _stereo_projections(params, tracks, tracks.right, usable),
+        stereo=() if tracks.right is None else _stereo_projections(params, tracks, tracks.right, usable, window.td_s),
         inertial=window.inertial,
     )
     return Assembly(problem, tracks, tracks.ids[usable], tracks.anchor[usable])
 
 
 def _stereo_projections(
-    params: Params, tracks: Tracks, right: np.ndarray, usable: np.ndarray
+    params: Params, tracks: Tracks, right: np.ndarray, usable: np.ndarray, td_s: float
 ) -> tuple[Projections, Projections]:
     """What the second camera sees of usable tracks: in later frames, and in the frame of the anchor."""
     landmark, is_anchor = np.cumsum(usable) - 1, np.zeros(len(tracks.slots), bool)
@@ -164,9 +180,19 @@ def _stereo_projections(
     def table(rows: np.ndarray, kind: Kind) -> Projections:
         track = tracks.track[rows]
         rays = tracks.rays[tracks.start[track]], right[rows]
-        return Projections(tracks.anchor[track], tracks.slots[rows], landmark[track], *rays, 0, 1, kind)
+        motion = _motion(tracks, tracks.right_velocity, track, rows, td_s)
+        return Projections(tracks.anchor[track], tracks.slots[rows], landmark[track], *rays, 0, 1, kind, motion)
 
     return table(np.flatnonzero(seen & ~is_anchor), "cross"), table(np.flatnonzero(seen & is_anchor), "same")
+
+
+def _motion(
+    tracks: Tracks, observed: np.ndarray | None, track: np.ndarray, rows: np.ndarray, td_s: float
+) -> RayMotion | None:
+    """Of projections of `track` seen in `rows`; None where the time offset is not estimated."""
+    if tracks.velocity is None or observed is None:
+        return None
+    return RayMotion(tracks.velocity[tracks.start[track]], observed[rows], td_s)
 
 
 def _place_prior(window: WindowState) -> PriorFactor | None:
@@ -174,14 +200,15 @@ def _place_prior(window: WindowState) -> PriorFactor | None:
         return None
     slot = {f.frame: k for k, f in enumerate(window.frames)}
     prior = window.prior
-    blocks = tuple(Variable(b.kind, b.id if b.kind == "extrinsic" else slot[b.id]) for b in prior.blocks)
+    blocks = tuple(Variable(b.kind, slot[b.id] if b.of_frame else b.id) for b in prior.blocks)
     return PriorFactor(blocks, prior.x0, prior.J, prior.r)
 
 
 def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowState:
     """`window` with the solved states, moved so that yaw and position of the oldest frame stay (REFERENCE O9).
 
-    Without IMU all of its pose stays, and velocities are those from frame to frame.
+    Without IMU all of its pose stays, and velocities are those from frame to frame.  What of the calibration was free
+    is as solved.
     """
     problem = assembly.problem
     states = hold_oldest(states, problem.initial.poses[0], not problem.inertial)
@@ -193,7 +220,11 @@ def unpack(window: WindowState, assembly: Assembly, states: States) -> WindowSta
     table = window.landmarks
     inv_depth = table.inv_depth.copy()
     inv_depth[np.searchsorted(table.ids, assembly.ids)] = states.inv_depths
-    return replace(window, frames=frames, landmarks=Landmarks(table.ids, inv_depth, table.status))
+    window = replace(window, frames=frames, landmarks=Landmarks(table.ids, inv_depth, table.status))
+    if problem.free_extrinsics:
+        T_b_c = se3.from_quaternion_translation(states.extrinsics[:, 3:], states.extrinsics[:, :3])
+        window = replace(window, T_b_c=T_b_c)
+    return replace(window, td_s=float(states.td_s[0])) if problem.free_td else window
 
 
 def _velocities(frames: tuple[WindowFrame, ...], states: States) -> np.ndarray:

@@ -46,11 +46,13 @@ class Departure:
     @cached_property
     def layout(self) -> Layout:
         problem = self.problem
-        return Layout(problem.n_frames, len(problem.initial.extrinsics), inertial=problem.inertial)
+        return Layout(
+            problem.n_frames, len(problem.initial.extrinsics), inertial=problem.inertial, n_td=int(problem.free_td)
+        )
 
     @cached_property
     def touched(self) -> tuple[Variable, ...]:
-        """The variables that some factor touches: poses, speed-biases, extrinsics."""
+        """The variables that some factor touches: poses, speed-biases, extrinsics, td."""
         problem = self.problem
         touched = set(problem.prior.blocks) if problem.prior else set()
         for k, _ in problem.imu:
@@ -58,7 +60,8 @@ class Departure:
         for table in problem.tables:
             touched |= {Variable("pose", int(slot)) for slot in np.union1d(table.anchor, table.observer)}
             touched |= {Variable("extrinsic", camera) for camera in (table.camera, table.seen_by)}
-        order = ("pose", "speed_bias", "extrinsic")
+            touched |= {Variable("td", 0)} if problem.free_td else set()
+        order = ("pose", "speed_bias", "extrinsic", "td")
         return tuple(sorted(touched, key=lambda block: (order.index(block.kind), block.slot)))
 
     @property
@@ -75,22 +78,20 @@ class Departure:
         states, prior = self.problem.initial, self.problem.prior
         if not self.first_estimate or prior is None:
             return states
-        tables = {
-            "pose": states.poses.copy(),
-            "speed_bias": states.speed_biases.copy(),
-            "extrinsic": states.extrinsics.copy(),
-        }
+        tables = {kind: table.copy() for kind, table in states.tables().items()}
         for block, x0 in zip(prior.blocks, prior.x0):
             tables[block.kind][block.slot] = x0
-        return States(tables["pose"], tables["speed_bias"], tables["extrinsic"], states.inv_depths)
+        poses, speed_biases, extrinsics = (tables[kind] for kind in ("pose", "speed_bias", "extrinsic"))
+        return States(poses, speed_biases, extrinsics, states.inv_depths, tables["td"][0])
 
     @cached_property
     def _moved(self) -> np.ndarray:
         """(D,) current states [-] `at`."""
         states, at, d = self.problem.initial, self.at, np.zeros(self.layout.size)
-        n, P = len(at.poses), self.layout.visual
+        n, P, n_td = len(at.poses), self.layout.visual, self.layout.n_td
         d[: 6 * n] = difference_poses(states.poses, at.poses).ravel()
-        d[6 * n : P] = difference_poses(states.extrinsics, at.extrinsics).ravel()
+        d[6 * n : P - n_td] = difference_poses(states.extrinsics, at.extrinsics).ravel()
+        d[P - n_td : P] = (states.td_s - at.td_s)[:n_td]
         if self.layout.inertial:
             d[P:] = (states.speed_biases - at.speed_biases).ravel()
         return d
@@ -155,11 +156,14 @@ class Departure:
         return tuple(BlockReport(label, size, start, gone) for (label, size, gone), start in zip(rows, index))
 
     def key(self, block: Variable) -> BlockKey:
-        return BlockKey(block.kind, block.slot if block.kind == "extrinsic" else self.frames[block.slot])
+        of_frame = block.kind in ("pose", "speed_bias")
+        return BlockKey(block.kind, self.frames[block.slot] if of_frame else block.slot)
 
     def _name(self, block: Variable) -> str:
         if block.kind == "extrinsic":
             return f"extrinsic cam{block.slot}"
+        if block.kind == "td":
+            return "td"
         return f"{block.kind} {block.slot} (frame {self.frames[block.slot]})"
 
 
@@ -183,6 +187,7 @@ def oldest_leaves(params: Params, window: WindowState, gravity_m_s2: float) -> D
         stereo=tuple(of_leaving(table) for table in problem.stereo),
         imu=tuple((k, m) for k, m in problem.imu if k == 0),
         free_extrinsics=True,
+        free_td=window.knows_td,
     )
     variables = (Variable("pose", 0), Variable("speed_bias", 0))
     return _departure("MARGIN_OLD", params, window, part, variables, assembly.ids[leaving])
@@ -204,6 +209,7 @@ def second_newest_leaves(params: Params, window: WindowState, gravity_m_s2: floa
         stereo=(),
         imu=(),
         free_extrinsics=True,
+        free_td=window.knows_td,
     )
     return _departure("MARGIN_SECOND_NEW", params, window, part, (Variable("pose", slot),), np.zeros(0, np.int64))
 

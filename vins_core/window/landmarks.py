@@ -10,7 +10,7 @@ from ..geometry import inverse_depth, se3
 from ..geometry.triangulation import triangulate_tracks
 from ..params import Window
 from ..report import LandmarkReport, LossReason, SolveReport
-from .assemble import Assembly, Tracks, gather_tracks
+from .assemble import Assembly, Tracks, tracks_of
 from .state import CANDIDATE, MARGINALIZED, OUTLIER, TRIANGULATED, Landmarks, WindowState
 
 FAR_M = 1000.0
@@ -23,7 +23,7 @@ def triangulate(params: Window, window: WindowState) -> WindowState:
     Depths below `min_depth`, as too little parallax produces them, are replaced by `init_depth`.  Landmarks that a
     second camera sees get theirs in their first frame; where it finds their rays diverging, they are `FAR_M` away.
     """
-    tracks, table = gather_tracks(window.frames), window.landmarks
+    tracks, table = tracks_of(window), window.landmarks
     row = np.searchsorted(table.ids, tracks.ids)
     ready = (tracks.count >= params.min_observations) & (tracks.anchor < len(window.frames) - 3)
     ready |= (stereo := tracks.stereo)

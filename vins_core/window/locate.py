@@ -11,7 +11,7 @@ from ..geometry import inverse_depth, se3, so3
 from ..geometry.pnp import solve_pnp
 from ..params import Params
 from ..report import Gate
-from .assemble import gather_tracks
+from .assemble import tracks_of
 from .landmarks import camera_poses
 from .state import OUTLIER, WindowFrame, WindowState
 
@@ -37,7 +37,7 @@ def locate(params: Params, window: WindowState) -> tuple[WindowState, Gate]:
 
 def _landmarks_in_view(window: WindowState, newest: WindowFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ids (n,), points in the world (n, 3), and unit rays in the newest frame (n, 3) of the landmarks that it sees."""
-    table, tracks = window.landmarks, gather_tracks(window.frames)
+    table, tracks = window.landmarks, tracks_of(window)
     known = table.ids[(table.status != OUTLIER) & (table.inv_depth > 0)]  # False for NaN
     known = known[np.isin(known, tracks.ids)]
     seen, _, rows = np.intersect1d(known, newest.observations.ids, assume_unique=True, return_indices=True)

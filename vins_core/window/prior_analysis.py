@@ -21,6 +21,7 @@ from ..report import BlockReport
 from ..solver.spectrum import UP, Leakage, Pull, Spectrum, jacobian_at, leakage, pull, spectrum
 from .departure import Departure, oldest_leaves, second_newest_leaves
 from .marginalize import marginalize
+from .online import calibrated_value
 from .state import BlockKey, Prior, WindowState
 
 
@@ -160,6 +161,8 @@ def _starts(keys: tuple[BlockKey, ...]) -> list[int]:
 def _report(key: BlockKey, slots: dict[int, int], start: int) -> BlockReport:
     if key.kind == "extrinsic":
         name = f"extrinsic cam{key.id}"
+    elif key.kind == "td":
+        name = "td"
     else:
         name = f"{key.kind} {slots.get(key.id, '?')} (frame {key.id})"
     return BlockReport(name, key.size, start, False)
@@ -181,9 +184,8 @@ def _gauge_of(block: BlockReport, window: WindowState, prior: Prior) -> np.ndarr
 
 
 def _value(window: WindowState, key: BlockKey) -> np.ndarray:
-    if key.kind == "extrinsic":
-        T = window.T_b_c[key.id]
-        return np.append(T[:3, 3], so3.from_matrix(T[:3, :3]))
+    if not key.of_frame:
+        return calibrated_value(window, key)
     frame = next(f for f in window.frames if f.frame == key.id)
     if key.kind == "pose":
         return np.append(frame.p_w_b, frame.q_w_b)
@@ -193,7 +195,7 @@ def _value(window: WindowState, key: BlockKey) -> np.ndarray:
 def _difference(prior: Prior, x: list[np.ndarray]) -> np.ndarray:
     """x [-] x0 of all blocks."""
     parts = [
-        b - a if key.kind == "speed_bias" else difference_poses(b[None], a[None])[0]
+        difference_poses(b[None], a[None])[0] if key.kind in ("pose", "extrinsic") else b - a
         for key, a, b in zip(prior.blocks, prior.x0, x)
     ]
     return np.concatenate(parts)

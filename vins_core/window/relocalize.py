@@ -20,7 +20,7 @@ from ..geometry.inverse_depth import MIN_RAY_Z
 from ..report import RelocalizationReport
 from ..solver.covariance import relative_poses
 from ..solver.linearize import Linearizer
-from ..solver.problem import Projections, States, WindowProblem, hold_oldest
+from ..solver.problem import Projections, RayMotion, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
 from .assemble import Assembly
 from .state import WindowState
@@ -62,7 +62,8 @@ def add_places(
     """The problem with a pose for each request whose later keyframe is in the window, and where to find it."""
     problem, tracks = assembly.problem, assembly.tracks
     frames = [f.frame for f in window.frames]
-    own_rays = tracks.rays[tracks.start[np.searchsorted(tracks.ids, assembly.ids)]]
+    anchors = tracks.start[np.searchsorted(tracks.ids, assembly.ids)]
+    own_rays, own_velocity = tracks.rays[anchors], None if tracks.velocity is None else tracks.velocity[anchors]
     places: list[Place] = []
     starts, tables, n_rows = [problem.initial.poses], [problem.projections], len(problem.projections)
     for request in requests:
@@ -78,7 +79,10 @@ def add_places(
             continue
         slot = sum(len(s) for s in starts)
         rays = own_rays[landmark], request.rays[seen]
-        tables.append(Projections(assembly.anchor[landmark], np.full(n, slot), landmark, *rays))
+        motion = None
+        if own_velocity is not None:  # what the place saw was put right when it left its window
+            motion = RayMotion(own_velocity[landmark], np.zeros((n, 2)), window.td_s)
+        tables.append(Projections(assembly.anchor[landmark], np.full(n, slot), landmark, *rays, motion=motion))
         starts.append(_row(_matrix(request.T_w_match) @ _mounting(request, problem.initial))[None])
         places.append(Place(request, query, slot, assembly.ids[landmark], slice(n_rows, n_rows + n)))
         n_rows += n
@@ -159,8 +163,13 @@ def _row(T: np.ndarray) -> np.ndarray:
 
 
 def _joined(tables: list[Projections]) -> Projections:
+    motion, motions = tables[0].motion, [t.motion for t in tables if t.motion is not None]
+    if motion is not None:
+        velocities_i, velocities_j = ([getattr(m, name) for m in motions] for name in ("velocity_i", "velocity_j"))
+        motion = RayMotion(np.concatenate(velocities_i), np.concatenate(velocities_j), motion.td_s)
     return replace(
         tables[0],
+        motion=motion,
         anchor=np.concatenate([t.anchor for t in tables]),
         observer=np.concatenate([t.observer for t in tables]),
         landmark=np.concatenate([t.landmark for t in tables]),

@@ -15,6 +15,7 @@ from ..factors.preintegration import merge
 from ..geometry import inverse_depth, se3
 from ..sensors import ImuNoise
 from .state import CANDIDATE, OUTLIER, Landmarks, WindowFrame, WindowState
+from .timing import referred_to
 
 
 def drop_oldest(window: WindowState) -> WindowState:
@@ -29,7 +30,8 @@ def drop_oldest(window: WindowState) -> WindowState:
         seen, in_table, _ = np.intersect1d(ids, frame.observations.ids, return_indices=True)
         if len(seen):
             rows = np.flatnonzero(anchored)[in_table]
-            inv_depth[rows] = _transfer(window.T_b_c[0], first, frame, seen, table.inv_depth[rows])
+            old, new = (referred_to(f, window.td_s) for f in (first, frame))
+            inv_depth[rows] = _transfer(window.T_b_c[0], old, new, seen, table.inv_depth[rows])
             anchored[rows] = False
     lost_depth = np.isnan(inv_depth) & (status != OUTLIER)
     status[lost_depth] = CANDIDATE

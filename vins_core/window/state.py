@@ -13,6 +13,7 @@ import numpy as np
 
 from ..factors.preintegration import Preintegration
 from ..report import LANDMARK_STATUSES, LandmarkStatus
+from ..solver.layout import SIZES
 
 CANDIDATE, TRIANGULATED, OUTLIER, MARGINALIZED = (
     LANDMARK_STATUSES.index(s)
@@ -59,6 +60,8 @@ class WindowFrame:
     v_w_b: np.ndarray  # (3,)
     b_a: np.ndarray  # (3,)
     b_g: np.ndarray  # (3,)
+    td_s: float = 0.0
+    """The time offset at which the rays are those at the time of the pose: that by which its IMU samples were cut."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +82,20 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class BlockKey:
-    """`pose` and `speed_bias` of a frame number, `extrinsic` of a camera."""
+    """`pose` and `speed_bias` of a frame number, `extrinsic` of a camera, `td` of all (0)."""
 
-    kind: str  # "pose" | "speed_bias" | "extrinsic"
+    kind: str  # "pose" | "speed_bias" | "extrinsic" | "td"
     id: int
 
     @property
     def size(self) -> int:
         """Dimension of the tangent space."""
-        return 9 if self.kind == "speed_bias" else 6
+        return SIZES[self.kind]
+
+    @property
+    def of_frame(self) -> bool:
+        """Whether `id` is the number of a frame."""
+        return self.kind in ("pose", "speed_bias")
 
 
 @dataclass(frozen=True)
@@ -95,13 +103,21 @@ class Prior:
     """What marginalised frames left: the residual r + J (x [-] x0), seed 000.3.3.4.
 
     Pose and extrinsic blocks of `x0` are (p, q wxyz) with tangent (dp, dtheta), q = q0 * Exp(dtheta);
-    speed-bias blocks are (v, b_a, b_g).
+    speed-bias blocks are (v, b_a, b_g), the time offset is (td,) in s.
     """
 
     blocks: tuple[BlockKey, ...]
-    x0: tuple[np.ndarray, ...]  # per block, (7,) or (9,)
+    x0: tuple[np.ndarray, ...]  # per block, (7,), (9,) or (1,)
     J: np.ndarray  # (n, n)
     r: np.ndarray  # (n,)
+
+
+@dataclass(frozen=True)
+class Calibrates:
+    """What of the calibration is estimated along with the window (online.py)."""
+
+    td: bool = False
+    extrinsics: bool = False
 
 
 @dataclass(frozen=True)
@@ -112,3 +128,11 @@ class WindowState:
     T_b_c: np.ndarray  # (cameras, 4, 4)
     inertial: bool = True
     """Whether there is an IMU; without, the world hangs on the oldest frame, and velocities and biases mean nothing."""
+    td_s: float = 0.0
+    """t_imu = t_image + td, as given or as estimated last."""
+    calibrates: Calibrates = Calibrates()
+
+    @property
+    def knows_td(self) -> bool:
+        """Whether the time offset is a variable of its prior, or will be."""
+        return self.calibrates.td or bool(self.prior and any(key.kind == "td" for key in self.prior.blocks))

@@ -10,6 +10,7 @@ from ..clock import stopwatch
 from ..factors.preintegration import repropagate
 from ..params import Imu, Params
 from ..report import (
+    CalibrationReport,
     FrameReport,
     Gate,
     HealthReport,
@@ -28,7 +29,7 @@ from ..sensors import Calibration, ImuNoise
 from ..solver.covariance import relative_poses
 from ..solver.solve import solve
 from ..solver.trust_region import Solution
-from . import degeneracy, health, landmarks
+from . import degeneracy, health, landmarks, online
 from .assemble import Assembly, assemble, inv_depth_sigma, solve_report, unpack
 from .marginalize import NOTHING_LEFT, marginalize_oldest, marginalize_second_newest
 from .relocalize import RelocalisationRequest, add_places, relocalization_reports
@@ -49,6 +50,7 @@ class Estimate:
     health: HealthReport
     marginalization: MarginalizationReport | None
     relocalizations: tuple[RelocalizationReport, ...] = ()  # not judged yet: that is for the loop stage
+    calibration: CalibrationReport | None = None
 
     def explain(self, report: FrameReport) -> FrameReport:
         return replace(
@@ -60,6 +62,7 @@ class Estimate:
             marginalization=self.marginalization,
             pose=self.pose,
             relocalizations=self.relocalizations,
+            calibration=self.calibration,
         )
 
 
@@ -75,6 +78,7 @@ class Solved:
     judged: WindowState  # without the landmarks that were rejected: what is marginalised
     rejected: dict[LossReason, np.ndarray]
     relocalizations: tuple[RelocalizationReport, ...] = ()
+    calibration: CalibrationReport | None = None
 
 
 def solve_window(
@@ -94,12 +98,15 @@ def solve_window(
         window = landmarks.triangulate(params.window, window)
     with stopwatch(ms, "solve"):
         assembly, places = add_places(assemble(params, window, calibration.gravity_m_s2), window, requests)
+        released = online.release(params, window)
+        assembly = replace(assembly, problem=released.free(assembly.problem))
         solution = solve(params, assembly.problem)
         solved = unpack(window, assembly, solution.states)
     with stopwatch(ms, "explain"):
         report = solve_report(assembly, solution)
         judged, rejected = landmarks.reject(params.window, solved, report)
-    turn = Solved(window, assembly, solution, solved, report, judged, rejected)
+        known = online.report(solved, released, assembly.problem, solution)
+    turn = Solved(window, assembly, solution, solved, report, judged, rejected, calibration=known)
     if not places:
         return turn
     with stopwatch(ms, "relocalize"):
@@ -137,7 +144,16 @@ def estimate(
         gates, motion = degeneracy.check(params.health, turn.solved.frames, turn.solved.T_b_c[0][:3, :3])
         verdict = replace(verdict, gates=(*verdict.gates, *gates), degeneracy=motion)
     done = Estimate(
-        None, pose, turn.rejected, turn.report, window_report, landmark_report, verdict, None, turn.relocalizations
+        None,
+        pose,
+        turn.rejected,
+        turn.report,
+        window_report,
+        landmark_report,
+        verdict,
+        None,
+        turn.relocalizations,
+        turn.calibration,
     )
     if not all_pass(verdict.gates):
         return done

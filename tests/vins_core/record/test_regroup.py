@@ -35,7 +35,7 @@ def recorded(every: int, images: int = 60, gap_ms: tuple[int, int] | None = None
 @pytest.mark.parametrize("freq", [5.0, 10.0, 20.0])
 def test_every_image_and_every_sample_is_kept_at_another_rate(freq: float) -> None:
     packets = recorded(every=2)
-    found = list(regroup(packets, replace(Frontend(), freq=freq), TD_S, 7, None))
+    found = list(regroup(packets, replace(Frontend(), freq=freq), 7, None))
     assert [p.frame for p in found] == list(range(7, 7 + len(found)))
     images = [i for p in found for i in p.images]
     assert images == [i for p in packets for i in p.images][: len(images)]
@@ -53,14 +53,14 @@ def test_every_image_and_every_sample_is_kept_at_another_rate(freq: float) -> No
 
 def test_the_clock_goes_on_at_the_frame_before() -> None:
     packets = recorded(every=2)
-    found = list(regroup(packets[4:], replace(Frontend(), freq=5.0), TD_S, 4, packets[3].t_ns))
+    found = list(regroup(packets[4:], replace(Frontend(), freq=5.0), 4, packets[3].t_ns))
     assert found[0].t_ns - packets[3].t_ns == 200 * MS
     assert found[0].imu.t_ns[0] == packets[4].imu.t_ns[0]
 
 
 def test_an_image_in_a_gap_of_the_imu_is_only_tracked() -> None:
     packets = recorded(every=4, gap_ms=(1010, 1090))
-    found = list(regroup(packets, replace(Frontend(), freq=20.0), TD_S, 0, None))
+    found = list(regroup(packets, replace(Frontend(), freq=20.0), 0, None))
     stamps = [p.t_ns // MS for p in found]
     assert 1050 not in stamps and {950, 1000, 1100, 1150} <= set(stamps)
     assert [i.index for p in found if p.t_ns == 1100 * MS for i in p.images] == [21, 22]

@@ -104,7 +104,7 @@ def test_the_wrong_extrinsic_is_wrong_by_the_declared_angle():
     np.testing.assert_array_equal(believed[:3, 3], true[:3, 3])
 
 
-WRONG = {"td_offset", "td_20ms", "wrong_extrinsic", "unknown_extrinsics"}
+WRONG = {"td_offset", "td_20ms", "wrong_extrinsic", "rough_extrinsics", "unknown_extrinsics"}
 
 
 @pytest.mark.parametrize("name", sorted(set(SCENARIOS) - WRONG))
