@@ -344,7 +344,7 @@ def _find_rotation(params: Params, calibration: Calibration, state: RunState) ->
 def _front_end(
     params: Params, calibration: Calibration, state: RunState
 ) -> tuple[Frontend, tuple[CameraCalibration, ...]]:
-    """Its parameters and cameras: extrinsics as they are estimated; where they are to be found, no prediction before."""
+    """Its parameters and cameras: extrinsics as estimated; where they are to be found, no prediction before that."""
     if not (state.window.calibrates.extrinsics or (calibration.extrinsics == "unknown" and calibration.has_imu)):
         return params.frontend, calibration.cameras
     if state.hand_eye is not None and state.hand_eye.R_b_c is None:
