@@ -66,9 +66,10 @@ ModeWish = Annotated[
     arg(help="which sensors to use; by default most of what recording and calibration offer (`vinspect info` lists)"),
 ]
 Trajectory = Annotated[
-    Literal["odometry", "optimized", "global", "global_live"],
+    Literal["odometry", "optimized", "imu_rate", "global", "global_live"],
     arg(
-        help="every frame as the odometry had it; the keyframes with all loops closed; with GPS, in metres east, north "
-        "and up of the first fix: all frames held to all fixes, or each as it was at its own time"
+        help="every frame as the odometry had it; the keyframes with all loops closed; the body at every IMU sample as "
+        "it was known then, loops included; with GPS, in metres east, north and up of the first fix: all frames held "
+        "to all fixes, or each as it was at its own time"
     ),
 ]

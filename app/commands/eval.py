@@ -58,8 +58,11 @@ def trajectory_of(reader: RunReader, choice: Choice) -> Trajectory:
     from vins_core.evaluation.evaluate import run_trajectory
     from vins_core.fusion.conclusion import global_trajectory
     from vins_core.mapping.conclusion import optimized_trajectory
+    from vins_core.record.imu_rate import imu_rate_trajectory
 
     match choice:
+        case "imu_rate":
+            return imu_rate_trajectory(reader)
         case "optimized":
             return optimized_trajectory(reader)
         case "global" | "global_live":

@@ -95,6 +95,17 @@ def test_export_writes_the_poses_as_they_were_right_after_their_own_solve(work: 
     assert written.q_w_b.tobytes() == np.array([p.q_w_b for _, p in kept]).tobytes()
 
 
+def test_the_body_is_exported_and_evaluated_at_every_imu_sample(
+    work: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", f"{work}/run", "--tum", f"{tmp_path}/run.tum", "--trajectory", "imu_rate"]) == 0
+    written, reader = read_trajectory(tmp_path / "run.tum"), RunReader(work / "run")
+    assert len(written) > 10 * sum(s.pose is not None for s in reader.summaries)
+    capsys.readouterr()
+    assert main(["eval", f"{work}/run", "--json", "--trajectory", "imu_rate"]) == 0
+    assert json.loads(capsys.readouterr().out)["poses"] == len(written)
+
+
 def test_info_prints_only_json(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", f"{work}/room.bag", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

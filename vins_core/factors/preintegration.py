@@ -57,7 +57,7 @@ def preintegrate(imu: ImuSamples, b_a: np.ndarray, b_g: np.ndarray, noise: ImuNo
     dt = np.diff(imu.t_ns) * 1e-9
     w = 0.5 * (imu.gyro_rad_s[:-1] + imu.gyro_rad_s[1:]) - b_g
     a = imu.accel_m_s2 - b_a
-    q = _rotations(w, dt)
+    q = rotations(w, dt)
     R = so3.to_matrix(q)
     Ra = (R @ a[:, :, None])[:, :, 0] if len(imu) else np.zeros((0, 3))
     dv = 0.5 * (Ra[:-1] + Ra[1:]) * dt[:, None]
@@ -94,7 +94,7 @@ def merge(first: Preintegration, second: Preintegration, noise: ImuNoise) -> Pre
     return preintegrate(ImuSamples.concatenate([first.imu, rest]), first.b_a, first.b_g, noise)
 
 
-def _rotations(w: np.ndarray, dt: np.ndarray) -> np.ndarray:
+def rotations(w: np.ndarray, dt: np.ndarray) -> np.ndarray:
     """q_0 = 1 and q_k+1 = q_k * (1, w_k dt_k / 2) normalised; plain floats, because it is a recursion."""
     qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
     out = [(qw, qx, qy, qz)]
