@@ -1,8 +1,9 @@
 """Milliseconds per stage of a run, beside a yardstick: `python tests/benchmarks/stages.py RECORDING [--calib FILE]`.
 
-`--backend numpy` or `c` instead of what "auto" finds; "c" compiles first, so that every frame has it.
+`--mode stereo` or another of what the recording allows; `--backend numpy` or `c` instead of what "auto" finds; "c"
+compiles first, so that every frame has it.
 
-Medians over the frames of one run that also writes its record.  The yardstick (optical flow between two fixed images,
+Medians over the frames of one run that also writes its record; p10 is what others on the machine disturb least.  The yardstick (optical flow between two fixed images,
 a Cholesky factorisation of 172 columns) says how fast the machine is, so that figures of two machines compare.
 """
 
@@ -57,6 +58,7 @@ def main() -> None:
     parser.add_argument("--calib", type=Path, action="append", default=[])
     parser.add_argument("--set", action="append", default=[], metavar="section.name=value")
     parser.add_argument("--duration", type=float)
+    parser.add_argument("--mode", choices=("mono_imu", "stereo_imu", "stereo"))
     parser.add_argument("--backend", choices=("auto", "numpy", "c"), default="auto")
     args = parser.parse_args()
 
@@ -82,6 +84,7 @@ def main() -> None:
             settings=args.set,
             duration_s=args.duration,
             backend=args.backend,
+            mode=args.mode,
             progress=note,
         )
         wall = time.perf_counter() - started
@@ -101,12 +104,12 @@ def main() -> None:
         )
         stages["whole frame"].append(sum(s.ms.values()))
     kilobytes = size / len(summaries) / 1e3
-    print(f"back end {reader.header.backend} on {reader.header.cpu}")
+    print(f"mode {reader.header.mode}, back end {reader.header.backend} on {reader.header.cpu}")
     print(f"{len(summaries)} frames, {len(solved)} solved, in {wall:.1f} s; record {kilobytes:.0f} kB a frame")
     for name, ms in yardstick().items():
         print(f"{name:48} {ms:8.2f} ms   yardstick")
     for stage, values in stages.items():
-        print(f"{stage:48} {np.median(values):8.2f} ms   p95 {np.percentile(values, 95):.2f}")
+        print(f"{stage:48} {np.median(values):8.2f} ms   p10 {np.percentile(values, 10):6.2f}  p95 {np.percentile(values, 95):6.2f}")
     print("resident memory MB after s: " + ", ".join(f"{s}: {mb:.0f}" for s, mb in memory.items()))
 
 

@@ -77,16 +77,34 @@ def match(
     image_0, image_1 = (equalized(images, ref, params) for ref in pair if ref is not None)
     check_size(image_1, right, pair[1])
     T_c1_c0 = se3.inverse(right.T_b_c) @ left.T_b_c
-    far_px = right.model.project(tracks.rays @ T_c1_c0[:3, :3].T)
-    guess_px = np.where(np.isfinite(far_px), far_px, tracks.uv_px).astype(np.float32)
-    uv_px, fate = there_and_back(image_0, image_1, tracks.uv_px, params, params.klt_levels, guess_px)
-    rays = right.model.lift(uv_px)
-    fate[(fate == KEPT) & ~np.isfinite(rays).all(1)] = FATES[RightLoss.BORDER]
+
+    def look(rows: np.ndarray, inv_depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels, rays and fates of some of the tracks, looked for where they would be at such inverse depths."""
+        from_px, rays_0 = tracks.uv_px[rows], tracks.rays[rows]
+        guess_px = right.model.project(rays_0 @ T_c1_c0[:3, :3].T + (inv_depth * rays_0[:, 2])[:, None] * T_c1_c0[:3, 3])
+        guess_px = np.where(np.isfinite(guess_px), guess_px, from_px).astype(np.float32)
+        uv_px, fate = there_and_back(image_0, image_1, from_px, params, params.klt_levels, guess_px)
+        rays_1 = right.model.lift(uv_px)
+        fate[(fate == KEPT) & ~np.isfinite(rays_1).all(1)] = FATES[RightLoss.BORDER]
+        found = np.flatnonzero(fate == KEPT)
+        off = epipolar_distance_px(E, rays_0[found], rays_1[found]) > params.stereo_epipolar_px
+        fate[found[off]] = FATES[RightLoss.EPIPOLAR]
+        return uv_px, rays_1, fate
+
     E = so3.skew(T_c1_c0[:3, 3]) @ T_c1_c0[:3, :3]
-    found = np.flatnonzero(fate == KEPT)
-    off = epipolar_distance_px(E, tracks.rays[found], rays[found]) > params.stereo_epipolar_px
-    fate[found[off]] = FATES[RightLoss.EPIPOLAR]
+    uv_px, rays, fate = look(np.arange(len(tracks)), np.zeros(len(tracks)))
+    found, missing = np.flatnonzero(fate == KEPT), np.flatnonzero(fate != KEPT)
+    if len(found) and len(missing):
+        apart = np.square(tracks.uv_px[missing, None] - tracks.uv_px[found]).sum(2)
+        inv_depth = _inverse_depth(T_c1_c0, tracks.rays[found], rays[found])[apart.argmin(1)]
+        uv_px[missing], rays[missing], fate[missing] = look(missing, inv_depth)
     return Matches(uv_px, rays, _velocity(tracks.ids, rays, fate == KEPT, before, pair[0].t_ns), fate)
+
+
+def _inverse_depth(T_c1_c0: np.ndarray, rays_0: np.ndarray, rays_1: np.ndarray) -> np.ndarray:
+    """(n,) 1/m along z of the first camera, never below 0: where R f_0 / f_0.z + t / z is nearest to parallel to f_1."""
+    far, near = np.cross(rays_1, (rays_0 / rays_0[:, 2:]) @ T_c1_c0[:3, :3].T), np.cross(rays_1, T_c1_c0[:3, 3])
+    return np.maximum(-(far * near).sum(1) / np.maximum((near * near).sum(1), 1e-12), 0.0)
 
 
 def _velocity(ids: np.ndarray, rays: np.ndarray, found: np.ndarray, before: TrackerState, t_ns: int) -> np.ndarray:
