@@ -109,7 +109,9 @@ def main() -> None:
     for name, ms in yardstick().items():
         print(f"{name:48} {ms:8.2f} ms   yardstick")
     for stage, values in stages.items():
-        print(f"{stage:48} {np.median(values):8.2f} ms   p10 {np.percentile(values, 10):6.2f}  p95 {np.percentile(values, 95):6.2f}")
+        print(
+            f"{stage:48} {np.median(values):8.2f} ms   p10 {np.percentile(values, 10):6.2f}  p95 {np.percentile(values, 95):6.2f}"
+        )
     print("resident memory MB after s: " + ", ".join(f"{s}: {mb:.0f}" for s, mb in memory.items()))
 
 

@@ -8,6 +8,7 @@ from plane_world import CAMERA, PARAMS, STEP_NS, Film, homography, move, packet,
 
 from vins_core.errors import CalibrationError
 from vins_core.frontend.step import track
+from vins_core.frontend.stereo import inverse_depths
 from vins_core.geometry import se3, so3
 from vins_core.geometry.pinhole_radtan import PinholeRadtan
 from vins_core.report import RIGHT_LOSSES, RightLoss
@@ -25,10 +26,12 @@ def second(index: int) -> ImageRef:
     return ImageRef(index * STEP_NS, 1, 100 + index)
 
 
-def rig(n: int = 3, right_shift_px: float = 0.0) -> tuple[Film, list[np.ndarray], list[np.ndarray]]:
+def rig(
+    n: int = 3, right_shift_px: float = 0.0, depth: float = DEPTH_M, velocity: np.ndarray = VELOCITY
+) -> tuple[Film, list[np.ndarray], list[np.ndarray]]:
     """Images of both cameras, and the homographies from the first left image to each of them."""
-    lefts = [homography(VELOCITY * k, depth=DEPTH_M) for k in range(n)]
-    rights = [homography(VELOCITY * k + [BASELINE_M, 0, 0], TURN, DEPTH_M) for k in range(n)]
+    lefts = [homography(velocity * k, depth=depth) for k in range(n)]
+    rights = [homography(velocity * k + [BASELINE_M, 0, 0], TURN, depth) for k in range(n)]
     shift = np.array([[1, 0, 0], [0, 1, right_shift_px], [0, 0, 1.0]])
     images = {k: render(H) for k, H in enumerate(lefts)} | {100 + k: render(shift @ H) for k, H in enumerate(rights)}
     return Film(images), lefts, rights
@@ -65,6 +68,29 @@ def test_both_cameras_see_a_track_at_its_depth() -> None:
     normal = np.cross(a, b)
     depth = a[:, 2] * np.linalg.norm(np.cross(b, [[BASELINE_M, 0, 0]]), axis=1) / np.linalg.norm(normal, axis=1)
     assert np.median(np.abs(depth / DEPTH_M - 1)) < 0.01
+
+
+def test_near_points_are_found_several_windows_away() -> None:
+    """A plane at 30 cm is shifted by 70 px, and a window of 13 px does not reach that far by itself: one match that it
+    finds shows its neighbours the way."""
+    film, lefts, rights = rig(4, depth=0.3, velocity=0.1 * VELOCITY)
+    for k, (_, _, report) in enumerate(run(film, 4)):
+        expected = move(rights[k] @ np.linalg.inv(lefts[k]), report.uv_px)
+        seen = ((expected > 10) & (expected < [CAMERA.model.width - 10, CAMERA.model.height - 10])).all(1)
+        found = report.right_loss == 255
+        assert seen.sum() > 25 and found[seen].mean() > 0.8
+        assert np.median(np.linalg.norm(report.right_uv_px[found] - expected[found], axis=1)) < 0.5
+
+
+def test_an_inverse_depth_is_that_of_the_point() -> None:
+    rng = np.random.default_rng(0)
+    points = np.column_stack([rng.uniform(-1, 1, (50, 2)), rng.uniform(1, 20, 50)])
+    T_c1_c0 = se3.inverse(T_B_C1)
+    rays = [p / np.linalg.norm(p, axis=1, keepdims=True) for p in (points, se3.transform(T_c1_c0, points))]
+    np.testing.assert_allclose(inverse_depths(T_c1_c0, *rays), 1 / points[:, 2], rtol=1e-9)
+    far = rays[0], rays[0] @ T_c1_c0[:3, :3].T
+    np.testing.assert_allclose(inverse_depths(T_c1_c0, *far), 0.0, atol=1e-12)
+    assert (inverse_depths(np.eye(4), *rays) == 0).all(), "without a baseline everything is far away"
 
 
 def test_tracks_of_the_first_camera_are_what_they_are_without_a_second() -> None:
