@@ -32,7 +32,7 @@ def run(recording: Path, calib: list[Path], mode: str, changes: dict, start_s: f
     from vins_core.io import modes
     from vins_core.io.calibration import read_calibration
     from vins_core.io.recording import open_recording
-    from vins_core.io.sync import packets
+    from vins_core.io.sync import TimeOffset, packets
     from vins_core.process import prepare
     from vins_core.sensors import Trajectory
 
@@ -44,14 +44,16 @@ def run(recording: Path, calib: list[Path], mode: str, changes: dict, start_s: f
     params = P.replace(P.replace(P.Params(), settings.overrides), changes)
     state = pipeline.start(calibration)
     t_ns, p, q, first_image, restarts, ms = [], [], [], None, 0, []
-    for packet in packets(source, calibration, params, start_s, duration_s):
+    offset = TimeOffset(calibration.td_of(0))
+    for packet in packets(source, calibration, params, start_s, duration_s, offset):
         first_image = packet.images[0].t_ns if first_image is None else first_image
         t0 = time.perf_counter()
         state, report, _ = pipeline.step(params, calibration, source, state, packet)
         ms.append(1e3 * (time.perf_counter() - t0))
+        offset.td_s = state.window.td_s
         restarts += bool(report.health and report.health.outcome)
         if report.pose is not None:
-            t_ns.append(report.t_ns)
+            t_ns.append(report.t_ns + round(report.pose.late_s * 1e9))
             p.append(report.pose.p_w_b)
             q.append(report.pose.q_w_b)
     if len(t_ns) < 3:

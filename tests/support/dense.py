@@ -48,4 +48,5 @@ def step(problem: WindowProblem, held_slot: int) -> dict[Variable, np.ndarray]:
     d = -scale * np.linalg.lstsq(J * scale, r, rcond=1e-15)[0]
     blocks = [Variable(kind, k) for kind in ("pose", "speed_bias") for k in range(problem.n_frames)]
     blocks += [Variable("extrinsic", k) for k in range(layout.n_extrinsics)]
+    blocks += [Variable("td", 0)] if layout.n_td else []
     return {block: d[layout.columns_of([block])] for block in blocks}

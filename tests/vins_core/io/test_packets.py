@@ -11,7 +11,7 @@ from tiny_recording import CALIBRATION, T0, images, imu, imus, in_time_order, pi
 from vins_core.errors import CalibrationError, RecordingError
 from vins_core.io.messages import ImageMessage, ImuMessage, Message
 from vins_core.io.recording import Recording
-from vins_core.io.sync import LEAD_IN_NS, packets
+from vins_core.io.sync import LEAD_IN_NS, TimeOffset, packets
 from vins_core.params import Params
 from vins_core.params import replace as with_params
 from vins_core.sensors import Anomaly, Packet
@@ -67,6 +67,25 @@ def test_the_last_imu_sample_of_a_packet_is_the_first_of_the_next_at_image_time_
         for name in ("gyro_rad_s", "accel_m_s2"):
             assert np.array_equal(getattr(before.imu, name)[-1], getattr(after.imu, name)[0])
     assert all(np.all(np.diff(p.imu.t_ns) > 0) for p in found)
+
+
+def test_the_imu_is_cut_by_an_offset_that_moves(plain: Recording) -> None:
+    """It is read when a packet leaves, which is one packet ahead of the run."""
+    offset, found = TimeOffset(0.0), []
+    for packet in packets(plain, CALIBRATION, Params(), offset=offset):
+        found.append(packet)
+        offset.td_s += 0.0015
+    assert [p.late_ns for p in found] == [max(0, k - 1) * 1_500_000 for k in range(len(found))]
+    for before, after in itertools.pairwise(found):
+        assert before.imu.t_ns[-1] == after.imu.t_ns[0]
+
+
+def test_a_rolling_shutter_is_cut_at_its_middle_row_unless_that_is_off(plain: Recording) -> None:
+    camera = replace(CALIBRATION.cameras[0], readout_s=0.02)
+    rolling = replace(CALIBRATION, cameras=(camera,), td_s=0.003)
+    assert {p.late_ns for p in packets(plain, rolling, Params())} == {13 * MS}
+    off = with_params(Params(), {"online.rolling_shutter": False})
+    assert {p.late_ns for p in packets(plain, rolling, off)} == {3 * MS}
 
 
 def test_samples_at_the_ends_lie_on_the_line_between_their_neighbours(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import synthetic_stereo as ss
+import synthetic_timing as st
 import synthetic_window as sw
 from same import differences
 from sample import CALIBRATION, RECORDING
@@ -124,6 +125,17 @@ def test_two_cameras_have_the_bits_of_numpy(
     p = assemble(params, window if inertial else ss.without_imu(window), sw.GRAVITY).problem
     p = replace(p, free_extrinsics=free_extrinsics)
     assert [table.kind for table in p.tables] == ["mono", "cross", "same"]
+    assert differences(linearize(compiled, p), linearize(choose("numpy"), p)) == []
+
+
+@needs_compiler
+@pytest.mark.parametrize("free_extrinsics", [False, True])
+@pytest.mark.parametrize("form", ["plane", "sphere"])
+def test_a_free_time_offset_has_the_bits_of_numpy(compiled: Backend, form: str, free_extrinsics: bool) -> None:
+    params = settings.replace(Params(), {"projection.residual": form})
+    window = st.make(0.01, stereo=True, n_frames=7, n_tracks=60).window
+    p = replace(assemble(params, window, sw.GRAVITY).problem, free_td=True, free_extrinsics=free_extrinsics)
+    p = replace(p, initial=replace(p.initial, td_s=np.array([0.007])))
     assert differences(linearize(compiled, p), linearize(choose("numpy"), p)) == []
 
 
