@@ -106,7 +106,7 @@ def test_marginalising_then_solving_equals_solving_everything(form: str, first_e
     whole = replace(assemble(params, window, sw.GRAVITY).problem, free_td=True, free_extrinsics=True)
     prior, _ = marginalize_oldest(params, window, sw.GRAVITY)
     assert prior is not None and BlockKey("td", 0) in prior.blocks
-    first, second, *others = window.frames
+    _, second, *others = window.frames
     leaving = assemble(params, window, sw.GRAVITY)
     gone = np.isin(window.landmarks.ids, leaving.ids[leaving.anchor == 0])
     status = np.where(gone, 2, window.landmarks.status).astype(np.uint8)

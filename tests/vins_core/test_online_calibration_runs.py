@@ -1,0 +1,145 @@
+"""Whole runs that find their time offset, undo a rolling shutter, and bring rough extrinsics back."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from same import differences
+
+from vins_core.evaluation.evaluate import evaluate, run_trajectory
+from vins_core.io.own_yaml import write
+from vins_core.io.write import write_recording
+from vins_core.record.fork import fork
+from vins_core.record.recording import RunReader
+from vins_core.runner import run_recording
+from vins_core.simulation.scenarios import SCENARIOS
+from vins_core.simulation.simulate import Simulation, build
+from vins_core.window.online import moved
+
+DATA = Path(os.environ.get("VINS_DATA", ""))
+recorded = pytest.mark.skipif(not (DATA / "euroc_mh01_16s").is_dir(), reason="VINS_DATA has no euroc_mh01_16s")
+
+
+def run(folder: Path, scenario: str, seed: int, duration_s: float, **changes) -> tuple[Simulation, RunReader]:
+    simulation = build(scenario, replace(SCENARIOS[scenario], **changes), seed, duration_s)
+    write_recording(simulation.messages(), folder / "recording", "asl", settings=simulation.settings)
+    write(folder / "calibration.yaml", simulation.calibration, simulation.settings.overrides)
+    return simulation, again(folder, "run")
+
+
+def again(folder: Path, name: str, *settings: str) -> RunReader:
+    settings = ("loop.enabled=off", *settings)
+    run_recording(folder / "recording", [folder / "calibration.yaml"], out=folder / name, settings=settings)
+    return RunReader(folder / name)
+
+
+def ate_m(simulation: Simulation, reader: RunReader) -> float:
+    found = evaluate(run_trajectory(reader.summaries), simulation.truth, 0.006)
+    assert found.ate_rmse_m is not None
+    return found.ate_rmse_m
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunReader]:
+    """Images stamped 20 ms early, of which the run knows nothing at the start."""
+    folder = tmp_path_factory.mktemp("late")
+    return folder, run(folder, "td_20ms", 1, 4.5)[1]
+
+
+def test_an_offset_of_20_ms_is_found_within_a_millisecond(late: tuple[Path, RunReader]) -> None:
+    _, reader = late
+    known = [s.calibration for s in reader.summaries if s.calibration]
+    assert known and known[0].td_gates and not known[0].extrinsic_gates
+    assert known[-1].td_s == pytest.approx(0.020, abs=1e-3)
+    assert known[-1].td_sigma_s < 1e-3
+
+
+def test_the_imu_follows_the_estimate_and_poses_tell_their_time(late: tuple[Path, RunReader]) -> None:
+    _, reader = late
+    poses = [k for k, s in enumerate(reader.summaries) if s.pose]
+    for k in poses[3:]:
+        estimate_before = reader.summaries[k - 2].calibration
+        assert estimate_before is not None
+        assert reader.packet(k).late_ns == round(estimate_before.td_s * 1e9)
+        assert reader.summaries[k].pose.late_s == reader.packet(k).late_ns * 1e-9
+
+
+def test_a_run_that_finds_its_offset_is_repeated_bit_for_bit_from_the_record(
+    late: tuple[Path, RunReader], tmp_path: Path
+) -> None:
+    _, reader = late
+    at = next(k for k, s in enumerate(reader.summaries) if s.calibration) - 1
+    fork(reader, at, tmp_path / "fork", {}, frames=8)
+    forked = RunReader(tmp_path / "fork")
+    found = [
+        difference
+        for k in range(at, at + 8)
+        for part in ("report", "state", "packet")
+        for difference in differences(getattr(reader, part)(k), getattr(forked, part)(k))
+    ]
+    assert found == []
+
+
+def test_a_fork_may_stop_estimating_it_or_begin_with_extrinsics(late: tuple[Path, RunReader], tmp_path: Path) -> None:
+    _, reader = late
+    at = len(reader) - 6
+    fork(reader, at, tmp_path / "off", {"online.td": "off"}, frames=6)
+    fork(reader, at, tmp_path / "on", {"online.extrinsics": "on"}, frames=6)
+    held, both = RunReader(tmp_path / "off"), RunReader(tmp_path / "on")
+    assert all(s.calibration is None and s.pose for s in held.summaries[at:])
+    assert held.state(len(held) - 1).window.td_s == reader.state(at - 1).window.td_s
+    last = both.summaries[-1].calibration
+    assert last is not None and last.extrinsic_gates and np.isfinite(last.extrinsic_sigma).all()
+    assert not np.array_equal(last.T_b_c[0], reader.header.calibration.cameras[0].T_b_c)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_offset_stays_within_a_millisecond_over_a_whole_scenario(seed: int, tmp_path: Path) -> None:
+    simulation, reader = run(tmp_path, "td_20ms", seed, 15.0)
+    known = [s.calibration for s in reader.summaries if s.calibration]
+    assert known[-1].td_s == pytest.approx(0.020, abs=1e-3)
+    assert ate_m(simulation, reader) < 0.04
+
+
+@pytest.mark.slow
+def test_a_rolling_shutter_costs_at_most_a_third_of_the_accuracy_of_a_global_one(tmp_path: Path) -> None:
+    errors = {"rolling_shutter_20ms": [], "room_loop": []}
+    for scenario, found in errors.items():
+        for seed in (1, 2, 3):
+            found.append(ate_m(*run(tmp_path / f"{scenario}{seed}", scenario, seed, 15.0)))
+    assert np.median(errors["rolling_shutter_20ms"]) < 1.3 * np.median(errors["room_loop"])
+
+
+@pytest.mark.slow
+def test_rough_extrinsics_come_back(tmp_path: Path) -> None:
+    simulation, reader = run(tmp_path, "rough_extrinsics", 1, 28.0)
+    last = reader.summaries[-1].calibration
+    assert last is not None
+    shift, turn = moved(last.T_b_c[0], simulation.true_calibration.cameras[0].T_b_c)
+    assert np.degrees(np.linalg.norm(turn)) < 0.15
+    assert np.linalg.norm(shift) < 0.01
+    held = again(tmp_path, "held", "online.extrinsics=off")
+    assert ate_m(simulation, reader) < 0.5 * ate_m(simulation, held)
+
+
+@recorded
+@pytest.mark.slow
+def test_on_a_real_recording_calibration_stays_near_what_is_given(tmp_path: Path) -> None:
+    """EuRoC's cameras are synchronised in hardware and calibrated with care."""
+    folder, errors = DATA / "euroc_mh01_16s", []
+    for name, settings in (("given", ()), ("found", ("online.td=on", "online.extrinsics=on"))):
+        settings = ("loop.enabled=off", *settings)
+        run_recording(folder, [folder / "vins_mono.yaml"], out=tmp_path / name, settings=settings)
+        reader = RunReader(tmp_path / name)
+        assert reader.truth is not None
+        errors.append(evaluate(run_trajectory(reader.summaries), reader.truth, 0.006).ate_rmse_m)
+    last = reader.summaries[-1].calibration
+    assert last is not None and abs(last.td_s) < 3e-3
+    shift, turn = moved(last.T_b_c[0], reader.header.calibration.cameras[0].T_b_c)
+    assert np.linalg.norm(shift) < 0.03 and np.degrees(np.linalg.norm(turn)) < 1.5
+    assert errors[1] < 1.2 * errors[0]
