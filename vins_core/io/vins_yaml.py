@@ -24,6 +24,15 @@ TUNING: dict[str, tuple[str, Callable[[float], Any]]] = {
     "max_num_iterations": ("window.max_iterations", int),
     "loop_closure": ("loop.enabled", FLAG),
 }
+FUSION_FRONT_END: dict[str, tuple[str, Any, str]] = {
+    "freq": (
+        "frontend.freq",
+        100.0,
+        "VINS-Fusion uses every image, whatever freq says; --set frontend.freq=10 for less",
+    ),
+    "equalize": ("frontend.equalize", False, "VINS-Fusion never equalises; --set frontend.equalize=on does"),
+}
+"""What VINS-Fusion does whether the key is there or not (REFERENCE TF1, P5), and with stereo measured better."""
 EXPECTED_TUNING = ("max_cnt", "min_dist", "F_threshold", "keyframe_parallax", "max_num_iterations")
 
 ALWAYS_IGNORED = {
@@ -229,6 +238,11 @@ def _tuning(keys: Keys, notes: list[str]) -> dict[str, Any]:
             overrides[parameter] = convert(keys.number(key, f"a number for {parameter}"))
         elif key in EXPECTED_TUNING:
             notes.append(f"{key} is not in the file, {parameter} keeps its default")
+    if "cam0_calib" in keys:
+        for key, (parameter, value, why) in FUSION_FRONT_END.items():
+            if overrides.get(parameter, value) != value:
+                notes.append(f"{key} is not used: {why}")
+            overrides[parameter] = value
     return overrides
 
 

@@ -239,10 +239,23 @@ def test_a_vins_fusion_config_is_read_with_the_camera_beside_it(tmp_path: Path) 
     assert found.overrides == {
         "frontend.max_cnt": 150,
         "frontend.flow_back": False,
+        "frontend.freq": 100.0,  # every image
+        "frontend.equalize": False,
         "projection.residual": "sphere",  # the fisheye
     }
     assert any(note.startswith("multiple_thread") for note in found.notes)
     assert not any("not known" in note for note in found.notes)
+
+
+def test_the_front_end_of_vins_fusion_takes_every_image_as_it_is(tmp_path: Path) -> None:
+    """Whatever its config says about that, in which keys that have no effect there are told."""
+    config(tmp_path, CAMERA_BLOCK, "cam0.yaml")
+    config(tmp_path, CAMERA_BLOCK, "cam1.yaml")
+    silent, told = read(tmp_path, FUSION), read(tmp_path, FUSION + "freq: 10\nequalize: 1\n")
+    assert silent.overrides == told.overrides and told.overrides["frontend.freq"] == 100.0
+    assert not any(note.startswith(("freq", "equalize")) for note in silent.notes)
+    assert [note.split()[0] for note in told.notes if "not used: VINS-Fusion" in note] == ["freq", "equalize"]
+    assert read(tmp_path, VINS_MONO.replace("equalize: 0", "equalize: 1")).overrides["frontend.equalize"] is True
 
 
 def test_a_kannala_brandt_camera_is_read(tmp_path: Path) -> None:
