@@ -38,7 +38,7 @@ class Play(msgspec.Struct, tag_field="k", tag="play"):
 
 
 class Pick(msgspec.Struct, tag_field="k", tag="pick"):
-    t: str  # "track", "frame" or "loop"
+    t: str  # "track", "frame", "loop" or "fix"
     i: int  # -1 clears
     j: int = -1  # a second frame, or the earlier keyframe of a loop; -1: the best there is
 

@@ -16,12 +16,13 @@ Text that comes from a file (topic, path, name) is escaped before it enters html
 In the page there is one helper object, `vi` (see browser.py), for html attributes:
 
     vi.send({k:'frame', i:12})                   go to a frame
-    vi.send({k:'pick', t:'track', i:57})         select ("track", "frame" or "loop"); i:-1 clears; j: a second frame,
-                                                 or the earlier keyframe of a loop
+    vi.send({k:'pick', t:'track', i:57})         select ("track", "frame", "loop" or "fix"); i:-1 clears;
+                                                 j: a second frame, or the earlier keyframe of a loop
     vi.send({k:'step', d:1, kf:false})           one frame on, or one keyframe
     vi.send({k:'knob', key:'window.loss'})       to the knob of a parameter, in the What-if panel
     onpointerdown/onpointermove='vi.scrub(event,this)'   seek by the pointer's share of the element's width
-    onwheel='vi.wheel(event,this)' onpointermove='vi.pan(event)' ondblclick='vi.reset()'   zoom and pan of an image
+    onwheel='vi.wheel(event,this)' onpointermove='vi.pan(event)' ondblclick='vi.reset()'   zoom and pan of an image;
+                                                 with data-zoom='map' it has a zoom of its own, and vi.reset(this)
 
 and CSS variables on the root: `--vi-x`, `--vi-y` (px) and `--vi-z` hold zoom and pan of the image, so that they
 survive new content.  An element of class `vi-head` in a lane is moved to the shown frame's place in the run.
@@ -40,6 +41,7 @@ from vins_core.sensors import Trajectory
 from .series import RunSeries, run_series
 
 if TYPE_CHECKING:
+    from vins_core.fusion.conclusion import FinalTrack
     from vins_core.mapping.study import LoopStudy
     from vins_core.record.recording import RunReader
     from vins_core.record.reevaluate import GateHistory
@@ -60,8 +62,8 @@ GATE_SLICE = 50
 class Selection:
     """What the user picked: nothing, a track (and with it its landmark), or one or two frames of the window."""
 
-    kind: str = ""  # "" | "track" | "frame" | "loop"
-    id: int = -1  # of the track or the frame; of a loop, its later keyframe
+    kind: str = ""  # "" | "track" | "frame" | "loop" | "fix"
+    id: int = -1  # of the track or the frame; of a loop, its later keyframe; of a fix, its row in the series
     other: int = -1  # a second frame, of a block of the prior that couples two; of a loop, its earlier keyframe
 
     def is_track(self, id: int) -> bool:
@@ -100,6 +102,11 @@ class RunView:
     @property
     def truth(self) -> Trajectory | None:
         return self.reader.truth
+
+    @property
+    def final(self) -> FinalTrack | None:
+        """The trajectory held to all fixes; None while the run grows and where there are none."""
+        return self.reader.final_track
 
     def ms(self, k: int) -> Timings:
         return self.summaries[k].ms

@@ -56,6 +56,8 @@ def handle(session: Session, event: Event) -> None:
             session.select(Selection(kind, id, other) if id >= 0 else Selection())
         case Pick("loop", query, match):
             session.look_at_loop(query, match)
+        case Pick("fix", row):
+            session.look_at_fix(row)
         case Loops(show):
             session.show_loops(show)
         case Edge(do, earlier, later):

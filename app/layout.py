@@ -52,7 +52,7 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     layers: dict[str, bool] = {}  # layers of the 3D view that differ from their default
     signals: tuple[str, ...] = ()  # empty: all
     camera: Literal["fit", "follow"] = "fit"
-    needs: Literal["", "loops"] = ""  # what a run must have for it
+    needs: Literal["", "loops", "gps"] = ""  # what a run must have for it
 
 
 class Placement(msgspec.Struct, frozen=True):

@@ -62,36 +62,41 @@
     history.replaceState(history.state, "", url);
   };
 
-  // Zoom and pan live in CSS variables, so that they survive new html.
-  vi.place = (box) => {
-    const keep = (v, size) => Math.min(0, Math.max(size * (1 - vi.z), v));
-    vi.x = keep(vi.x, box.width);
-    vi.y = keep(vi.y, box.height);
+  // Zoom and pan live in CSS variables, so that they survive new html.  Images share theirs; an element with
+  // data-zoom="map" has its own, in --vi-map-x and so on.
+  vi.zooms = vi.zooms || { "": vi };
+  vi.zoomOf = (el) => (vi.zooms[el?.dataset.zoom ?? ""] ??= { x: 0, y: 0, z: 1 });
+  vi.place = (box, el) => {
+    const [at, name] = [vi.zoomOf(el), el?.dataset.zoom ? `--vi-${el.dataset.zoom}` : "--vi"];
+    const keep = (v, size) => Math.min(0, Math.max(size * (1 - at.z), v));
+    at.x = keep(at.x, box.width);
+    at.y = keep(at.y, box.height);
     const root = document.documentElement.style;
-    root.setProperty("--vi-x", vi.x + "px");
-    root.setProperty("--vi-y", vi.y + "px");
-    root.setProperty("--vi-z", vi.z);
+    root.setProperty(`${name}-x`, at.x + "px");
+    root.setProperty(`${name}-y`, at.y + "px");
+    root.setProperty(`${name}-z`, at.z);
     document.documentElement.classList.toggle("vi-magnified", vi.z > 2.5);
   };
   vi.wheel = (e, el) => {
     e.preventDefault();
-    const box = el.getBoundingClientRect();
-    const z = Math.min(12, Math.max(1, vi.z * Math.exp(-e.deltaY * 0.0016)));
-    const at = [e.clientX - box.left, e.clientY - box.top];
-    vi.x = at[0] - ((at[0] - vi.x) * z) / vi.z;
-    vi.y = at[1] - ((at[1] - vi.y) * z) / vi.z;
-    vi.z = z;
-    vi.place(box);
+    const [box, at] = [el.getBoundingClientRect(), vi.zoomOf(el)];
+    const z = Math.min(12, Math.max(1, at.z * Math.exp(-e.deltaY * 0.0016)));
+    const pointer = [e.clientX - box.left, e.clientY - box.top];
+    at.x = pointer[0] - ((pointer[0] - at.x) * z) / at.z;
+    at.y = pointer[1] - ((pointer[1] - at.y) * z) / at.z;
+    at.z = z;
+    vi.place(box, el);
   };
   vi.pan = (e) => {
-    if (!(e.buttons & 1) || vi.z === 1) return;
-    vi.x += e.movementX;
-    vi.y += e.movementY;
-    vi.place(e.currentTarget.getBoundingClientRect());
+    const [el, at] = [e.currentTarget, vi.zoomOf(e.currentTarget)];
+    if (!(e.buttons & 1) || at.z === 1) return;
+    at.x += e.movementX;
+    at.y += e.movementY;
+    vi.place(el.getBoundingClientRect(), el);
   };
-  vi.reset = () => {
-    vi.z = 1;
-    vi.place({ width: 0, height: 0 });
+  vi.reset = (el) => {
+    vi.zoomOf(el).z = 1;
+    vi.place({ width: 0, height: 0 }, el);
   };
 
   // Only what can be seen is rendered; only the page knows what that is, and how wide the 3D view is.

@@ -14,6 +14,8 @@ from vins_core.geometry import so3
 from vins_core.report import LOOP_OUTCOMES, CostSplit, FrameSummary, LoopOutcome, Status
 from vins_core.sensors import Trajectory
 
+from .gps import GpsSeries, gps_series
+
 
 @dataclass(frozen=True)
 class Event:
@@ -79,6 +81,7 @@ class RunSeries:
     drift: np.ndarray  # (n, 7) T_g_o by the pose graph: accurate, late
     fast_drift: np.ndarray  # (n, 7) T_g_o by the newest loop: at once
     loops: LoopSeries
+    gps: GpsSeries
     events: tuple[Event, ...]
 
     def __len__(self) -> int:
@@ -141,6 +144,7 @@ def run_series(summaries: Sequence[FrameSummary], truth: Trajectory | None) -> R
         drift=_stack([s.closure.drift if s.closure else None for s in summaries], 7),
         fast_drift=_stack([s.closure.fast_drift if s.closure else None for s in summaries], 7),
         loops=_loops(summaries),
+        gps=gps_series(summaries),
         events=tuple(_events(summaries)),
     )
 

@@ -39,6 +39,7 @@ from .experiment import Experiment, parse_parameters
 from .graph import Edits
 from .layout import Layout, save_layout
 from .loops import has_loops, next_candidate
+from .panels import gps
 from .runs import OpenRun
 from .scene.pick import pick
 from .scene.view import TOGGLES, SceneView
@@ -47,6 +48,11 @@ from .workspace import Workspace
 
 log = logging.getLogger("vinspect")
 
+LACKING = {
+    "loops": "This run closes no loops; make one with --loops on.",
+    "gps": "This run fuses no GPS fixes; `vinspect info` says what its recording lacks for that.",
+}
+"""Why a layout cannot be had, by what it needs."""
 GROWN_S = 1.0
 """Between two looks at runs that grow beside the one shown."""
 
@@ -223,15 +229,31 @@ class Session:
                 self.edits = Edits()
         self.refresh("graph", SCENE)
 
+    # -- GPS ---------------------------------------------------------------------------------------------------------
+
+    def look_at_fix(self, row: int) -> None:
+        """Select a fix and go to where it was judged; -1 for none."""
+        if self.cursor.run is None or not 0 <= row < len(self.cursor.run.series.gps):
+            self.select(Selection())
+            return
+        self.select(Selection("fix", row))
+        self.go(int(self.cursor.run.series.gps.frame[row]))
+
     # -- layouts -----------------------------------------------------------------------------------------------------
 
     def offers(self, layout: Layout) -> bool:
         """Whether the run shown has what a layout is for."""
-        return not layout.needs or (self.cursor.run is not None and has_loops(self.cursor.run))
+        run = self.cursor.run
+        match layout.needs:
+            case "loops":
+                return run is not None and has_loops(run)
+            case "gps":
+                return run is not None and gps.exists(run)
+        return True
 
     def use_layout(self, layout: Layout) -> None:
         if not self.offers(layout):
-            self._tell(layout.title, "This run closes no loops; make one with --loops on.")
+            self._tell(layout.title, LACKING[layout.needs])
             return
         if (run := self.cursor.run) is not None:
             model = run.header.calibration.cameras[0].model

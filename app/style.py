@@ -316,6 +316,23 @@ svg:has(>.vi-match:hover)>.vi-match:not(:hover){{opacity:.25}}
 .vi-match .r{{stroke:#FFFFFF;fill:none;--r:5px;--s:1.6px;opacity:1}}
 .vi-fate{{cursor:pointer}} .vi-fate:hover{{color:{STRONG}}}
 """
+_MAP = f"""
+:root{{--vi-map-x:0px;--vi-map-y:0px;--vi-map-z:1}}
+.vi-map{{--vi-x:var(--vi-map-x);--vi-y:var(--vi-map-y);--vi-z:var(--vi-map-z);background:{SUNKEN}}}
+.vi-map .vi-line{{fill:none;stroke-width:calc(.6px*var(--u)/var(--vi-z))}}
+.vi-map polyline{{stroke-linecap:round}}
+.vi-map .vi-sigma{{fill:none;stroke-width:calc(.9px*var(--u)/var(--vi-z));opacity:.55;pointer-events:none}}
+.vi-map .vi-picked{{opacity:1;fill:{SELECTION};fill-opacity:.1}}
+.vi-map .vi-fix{{cursor:pointer}} .vi-map .vi-fix:hover path{{stroke:{SELECTION};stroke-width:2.4}}
+.vi-map .vi-later{{opacity:.22}}
+.vi-map .p{{pointer-events:none}}
+.vi-map .vi-body{{--r:5px;--s:2.4px;fill:{ESTIMATE};stroke:{STRONG};cursor:help}}
+.vi-north,.vi-mapscale{{position:absolute;font-size:10.5px;color:{MUTED};pointer-events:none}}
+.vi-north{{right:8px;top:6px}}
+.vi-mapscale{{left:8px;bottom:5px}}
+.vi-yaw{{display:grid;grid-template-columns:1fr 44px;gap:6px}}
+.vi-ends{{display:flex;flex-direction:column;justify-content:space-between;font-size:11px;text-align:right}}
+"""
 _FATES = "".join(
     f":root.vi-hide-{k} .vi-match-{k}{{display:none}}:root.vi-hide-{k} .vi-fate-{k}{{opacity:.4}}"
     for k in range(len(MATCH_STAGES))
@@ -324,4 +341,6 @@ _FATES = "".join(
 FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
 """Colours of the three factor types, wherever a cost is split."""
 
-CSS = "".join((_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _MATRIX, _LOOPS, _FATES, _TIPS))
+CSS = "".join(
+    (_BASE, _TABS, _CHIPS, _TABLES, _GATES, _CAMERA, _PLOTS, _KNOBS, _RUNS, _MATRIX, _LOOPS, _MAP, _FATES, _TIPS)
+)

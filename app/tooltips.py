@@ -17,6 +17,7 @@ from vins_core.report import Gate
 
 from .tips.frontend import FRONTEND
 from .tips.gates import GATES
+from .tips.gps import GPS
 from .tips.loops import LOOPS
 from .tips.prior import PRIOR
 from .tips.stages import STAGES
@@ -55,6 +56,7 @@ TIPS: Mapping[str, Tip] = MappingProxyType(
         **WHAT_IF,
         **PRIOR,
         **LOOPS,
+        **GPS,
     }
 )
 

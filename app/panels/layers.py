@@ -27,6 +27,8 @@ MARKS = {
     "loops.refused": (BAD, "╌"),
     "loops.graph": (OK, "╌"),
     "loops.window": (SELECTION, "—"),
+    "gps.fixes": (OK, "●"),
+    "gps.trajectory": (OK, "∿"),
     "grid": (MUTED, "▦"),
     "axes": (MUTED, "┼"),
 }

@@ -58,6 +58,8 @@ SIGNALS = (
     Signal("drift.graph", "graph drift", "drift.graph", OK, lambda s: 100 * s.moved_m[:, 0], "cm"),
     Signal("drift.fast", "loop drift", "drift.fast", FORK, lambda s: 100 * s.moved_m[:, 1], "cm"),
     Signal("drift.apart", "difference", "drift.apart", PLAIN, lambda s: 100 * s.corrections_apart_m, "cm"),
+    Signal("gps.sigma", "GPS yaw σ", "gps.yaw", OK, lambda s: s.gps.yaw_sigma_deg, "deg", "gps.max_yaw_sigma_deg"),
+    Signal("gps.outage", "GPS outage", "gps.outage", IMU, lambda s: s.gps.outage_s, "s", "gps.max_outage_s"),
     Signal("speed", "speed", "speed", PLAIN, lambda s: _norm(s.v_w_b), "m/s"),
 )
 

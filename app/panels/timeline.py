@@ -7,10 +7,11 @@ from itertools import groupby
 
 import numpy as np
 
-from vins_core.report import Status
+from vins_core.report import FixVerdict, Status
 
 from .. import views
 from ..context import PanelContext
+from ..gps import VERDICTS, GpsSeries
 from ..html import Html, chip, empty, fixed, key_cap, muted, number, panel, row, strong, tag, term, text, unit
 from ..palette import BAD, CANDIDATE, ESTIMATE, IMU, LINE, OK, RAISED, TEXT
 from ..series import LoopSeries, RunSeries
@@ -79,6 +80,8 @@ def _lanes(series: RunSeries) -> list[Lane]:
         lanes.append(Lane("keyframes", "keyframe", 9, ticks(series.keyframes, n, 0, 9, ESTIMATE)))
     if series.loops.candidate.any():
         lanes.append(Lane("loops", "loops", 15, _loops(series.loops, n)))
+    if len(series.gps):
+        lanes.append(Lane("GPS", "gps.fix", 13, _fixes(series.gps, n)))
     for name, tip, kinds in (
         ("init", "attempts", ("attempt", "initialized", "restart")),
         ("motion", "motion", ("degenerate",)),
@@ -99,6 +102,13 @@ def _loops(loops: LoopSeries, n: int) -> Html:
     """Accepted ones above, below them candidates that were refused."""
     refused = loops.candidate & ~loops.accepted
     return text((ticks(loops.frame[loops.accepted], n, 0, 7, OK, 1.6), ticks(loops.frame[refused], n, 8, 15, BAD, 1.6)))
+
+
+def _fixes(gps: GpsSeries, n: int) -> Html:
+    """Fixes that count in the end above, below them those that do not."""
+    last = gps.final_verdicts
+    used, gated = (np.unique(gps.frame[last == VERDICTS.index(v)]) for v in (FixVerdict.USED, FixVerdict.GATED))
+    return text((ticks(used, n, 0, 6, OK, 1.2), ticks(gated, n, 7, 13, BAD, 1.6)))
 
 
 _EVENT_COLOURS = {"attempt": BAD, "initialized": OK, "restart": "#FFFFFF", "anomaly": TEXT, "degenerate": IMU}

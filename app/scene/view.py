@@ -9,6 +9,7 @@ from vins_core.report import LandmarkStatus
 
 from .comparison import ComparisonLayer
 from .frame import Layer, SceneFrame
+from .gps import GpsLayer
 from .ground import GroundLayer
 from .landmarks import LandmarkLayer, by_status
 from .loops import LoopLayer
@@ -17,7 +18,16 @@ from .trajectory import TrajectoryLayer
 from .uncertainty import UncertaintyLayer
 from .window import WindowLayer
 
-LAYERS = (TrajectoryLayer, WindowLayer, LandmarkLayer, SelectionLayer, ComparisonLayer, UncertaintyLayer, LoopLayer)
+LAYERS = (
+    TrajectoryLayer,
+    WindowLayer,
+    LandmarkLayer,
+    SelectionLayer,
+    ComparisonLayer,
+    UncertaintyLayer,
+    LoopLayer,
+    GpsLayer,
+)
 TOGGLES: dict[str, str] = {name: title for layer in (*LAYERS, GroundLayer) for name, title in layer.toggles.items()}
 """Every layer that can be switched, with the title of its checkbox."""
 OFF = frozenset({"uncertainty", "loops.refused"})

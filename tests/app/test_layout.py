@@ -30,6 +30,7 @@ def test_the_layouts_come_with_hotkeys_in_order() -> None:
         ("prior", "alt+4"),
         ("compare", "alt+5"),
         ("loops", "alt+6"),
+        ("gps", "alt+7"),
     ]
 
 
