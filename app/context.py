@@ -35,6 +35,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
+from vins_core.errors import RunError
 from vins_core.report import FrameReport, FrameSummary, Timings
 from vins_core.sensors import Trajectory
 
@@ -105,8 +106,11 @@ class RunView:
 
     @property
     def final(self) -> FinalTrack | None:
-        """The trajectory held to all fixes; None while the run grows and where there are none."""
-        return self.reader.final_track
+        """The trajectory held to all fixes; None while the run grows, and where there is none or it is damaged."""
+        try:
+            return self.reader.final_track
+        except RunError:
+            return None
 
     def ms(self, k: int) -> Timings:
         return self.summaries[k].ms

@@ -145,8 +145,7 @@ def picture(ctx: PanelContext) -> MapPicture:
         return MapPicture(ctx.run.series.gps, ctx.frame, selected_fix(ctx), np.zeros((0, 3)), np.zeros(0, bool))
     stamps = np.array([s.t_ns for s in ctx.run.summaries], np.int64)
     path = np.full((len(stamps), 3), np.nan)
-    rows = np.searchsorted(stamps, final.t_ns)
-    path[rows] = final.T_e_b[:, :3]
+    path[final.frame] = final.T_e_b[:, :3]
     used = np.sort(final.fix_t_ns[final.fix_used])
     limit_ns = 1e9 * float(parameters.get(ctx.run.header.params, "gps.max_outage_s"))
     return MapPicture(ctx.run.series.gps, ctx.frame, selected_fix(ctx), path, _far_from(stamps, used, limit_ns / 2))

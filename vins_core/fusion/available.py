@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from .. import params
+from ..report import PoseEstimate
 from ..sensors import Calibration
 
 
@@ -43,6 +44,11 @@ def missing(settings: params.Gps, calibration: Calibration, topics: Sequence[str
         f"GPS: fixes of {calibration.gps_topic} are not fused, since {where} does not say where the antenna is: give "
         "p_b_gps, in body coordinates in m, or say that it is at the body's origin, with --set gps.lever_arm=off",
     )
+
+
+def time_of(calibration: Calibration, t_ns: int, pose: PoseEstimate) -> int:
+    """When a frame's pose was, on the clock of IMU and fixes: the stamp of its image plus td, estimated or given."""
+    return t_ns + round((pose.late_s if calibration.has_imu else calibration.td_of(0)) * 1e9)
 
 
 def settings_of(settings: params.Gps, calibration: Calibration) -> params.Gps:

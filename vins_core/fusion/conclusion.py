@@ -15,8 +15,8 @@ from ..errors import RunError
 from ..record.header import RunHeader
 from ..record.recording import RunReader
 from ..report import FixVerdict, FrameSummary
-from ..sensors import GpsFix, Trajectory
-from .available import antenna, settings_of
+from ..sensors import Calibration, GpsFix, Trajectory
+from .available import antenna, settings_of, time_of
 from .geodesy import EnuFrame
 from .smooth import Smoothed, smooth
 
@@ -30,7 +30,8 @@ class FinalTrack:
 
     origin: np.ndarray | None  # (3,) latitude, longitude in degrees, altitude in metres; None without a stretch
     stretch: np.ndarray  # (n,) int64, running number
-    t_ns: np.ndarray  # (n,) int64, stamps of the frames
+    frame: np.ndarray  # (n,) int64
+    t_ns: np.ndarray  # (n,) int64, of the poses, on the clock of IMU and fixes
     T_e_b: np.ndarray  # (n, 7)
     covariance: np.ndarray  # (n, 6, 6)
     scale: np.ndarray  # (n,)
@@ -46,7 +47,8 @@ class FinalTrack:
 class _Stretch:
     """Consecutive frames of one odometry."""
 
-    t_ns: np.ndarray  # (n,) of the frames
+    frame: np.ndarray  # (n,)
+    t_ns: np.ndarray  # (n,) of the poses
     T_o_b: np.ndarray  # (n, 7)
     fixes: tuple[GpsFix, ...]
 
@@ -59,7 +61,7 @@ def final_track(run: RunReader) -> FinalTrack:
 
 
 def global_trajectory(run: RunReader, live: bool = False) -> Trajectory:
-    """Poses in `e` with the stamps of their frames: final, or live, each as it was right after its own frame.
+    """Poses in `e` at their times on the IMU's clock: final, or live, each as it was right after its own frame.
 
     Raises RunError when there are none.
     """
@@ -68,7 +70,12 @@ def global_trajectory(run: RunReader, live: bool = False) -> Trajectory:
         if not len(final.t_ns):
             raise RunError(f"{run.path} has no final GPS trajectory: {'; '.join(final.notes)}")
         return Trajectory(final.t_ns, final.T_e_b[:, :3], final.T_e_b[:, 3:])
-    rows = [(s.t_ns, s.gps.T_e_b) for s in run.summaries if s.gps is not None and s.gps.T_e_b is not None]
+    calibration = run.header.calibration
+    rows = [
+        (time_of(calibration, s.t_ns, s.pose), s.gps.T_e_b)
+        for s in run.summaries
+        if s.pose is not None and s.gps is not None and s.gps.T_e_b is not None
+    ]
     if not rows:
         raise RunError(
             f"{run.path} has no live GPS poses: its fixes never counted; `vinspect open {run.path}` shows why"
@@ -86,36 +93,50 @@ def smooth_run(header: RunHeader, summaries: Sequence[FrameSummary]) -> FinalTra
     """The final trajectory of the frames so far, by the parameters of the last."""
     settings = settings_of(header.params.gps, header.calibration)
     p_b_gps = antenna(settings, header.calibration)
-    td_ns = round(header.calibration.td_of(0) * 1e9)
     if p_b_gps is None:  # a fork no longer says where the antenna is
-        return _join([], td_ns, ("GPS: no final trajectory, since gps.lever_arm is on and p_b_gps not known",))
+        return _join([], ("GPS: no final trajectory, since gps.lever_arm is on and p_b_gps not known",))
     origins = (s.gps.origin for s in summaries if s.gps is not None and s.gps.origin is not None)
     first = next(origins, None)
     origin = None if first is None else EnuFrame(*first.tolist())
-    found: list[tuple[int, Smoothed]] = []
+    found: list[tuple[_Stretch, Smoothed]] = []
     notes = []
-    for number, stretch in enumerate(_stretches(summaries)):
-        smoothed = smooth(settings, p_b_gps, stretch.t_ns + td_ns, stretch.T_o_b, stretch.fixes, origin)
+    for stretch in _stretches(header.calibration, summaries):
+        smoothed = smooth(settings, p_b_gps, stretch.t_ns, stretch.T_o_b, stretch.fixes, origin)
         if isinstance(smoothed, str):
-            notes.append(f"GPS: frames from {stretch.t_ns[0]} to {stretch.t_ns[-1]} ns are not in it: {smoothed}")
+            span = f"{stretch.frame[0]} to {stretch.frame[-1]}"
+            notes.append(f"GPS: frames {span} are not in the final trajectory: {smoothed}")
         else:
-            found.append((number, smoothed))
-    return _join(found, td_ns, tuple(notes))
+            found.append((stretch, smoothed))
+    return _join(found, tuple(notes))
 
 
-def _stretches(summaries: Sequence[FrameSummary]) -> Iterator[_Stretch]:
-    rows: list[FrameSummary] = []
-    for summary in (*summaries, None):
-        if summary is not None and summary.pose is not None and summary.gps is not None:
-            rows.append(summary)
-        elif rows:
-            T_o_b = np.array([np.concatenate([s.pose.p_w_b, s.pose.q_w_b]) for s in rows if s.pose])
-            fixes = tuple(fix for s in rows if s.gps for fix in s.gps.arrived)
-            yield _Stretch(np.array([s.t_ns for s in rows], np.int64), T_o_b, fixes)
-            rows = []
+def _stretches(calibration: Calibration, summaries: Sequence[FrameSummary]) -> Iterator[_Stretch]:
+    frames: list[int] = []
+    times: list[int] = []
+    poses: list[np.ndarray] = []
+    fixes: list[GpsFix] = []
+
+    def taken() -> Iterator[_Stretch]:
+        if frames:
+            yield _Stretch(np.array(frames, np.int64), np.array(times, np.int64), np.array(poses), tuple(fixes))
+        for rows in (frames, times, poses, fixes):
+            rows.clear()
+
+    for s in summaries:
+        if s.pose is None or s.gps is None:
+            yield from taken()
+            continue
+        t_ns = time_of(calibration, s.t_ns, s.pose)
+        if times and t_ns <= times[-1]:
+            yield from taken()
+        frames.append(s.frame)
+        times.append(t_ns)
+        poses.append(np.concatenate([s.pose.p_w_b, s.pose.q_w_b]))
+        fixes += s.gps.arrived
+    yield from taken()
 
 
-def _join(found: list[tuple[int, Smoothed]], td_ns: int, notes: tuple[str, ...]) -> FinalTrack:
+def _join(found: list[tuple[_Stretch, Smoothed]], notes: tuple[str, ...]) -> FinalTrack:
     def rows(name: str, shape: tuple[int, ...], dtype: type = float) -> np.ndarray:
         return np.concatenate([np.zeros((0, *shape), dtype), *(getattr(s, name) for _, s in found)])
 
@@ -123,8 +144,9 @@ def _join(found: list[tuple[int, Smoothed]], td_ns: int, notes: tuple[str, ...])
     chi2 = [next((g.value for g in f.gates if g.name == "chi2"), None) for f in fixes]
     return FinalTrack(
         origin=found[0][1].origin.coordinates if found else None,
-        stretch=np.repeat(np.array([k for k, _ in found], np.int64), [len(s.t_ns) for _, s in found]),
-        t_ns=rows("t_ns", (), np.int64) - td_ns,
+        stretch=np.repeat(np.arange(len(found)), [len(s.t_ns) for _, s in found]).astype(np.int64),
+        frame=np.concatenate([np.zeros(0, np.int64), *(stretch.frame for stretch, _ in found)]),
+        t_ns=rows("t_ns", (), np.int64),
         T_e_b=rows("T_e_b", (7,)),
         covariance=rows("covariance", (6, 6)),
         scale=rows("scale", ()),

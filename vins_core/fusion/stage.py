@@ -14,7 +14,7 @@ from .. import params
 from ..clock import stopwatch
 from ..report import FrameReport, Timings
 from ..sensors import Calibration, Packet
-from .available import antenna, settings_of
+from .available import antenna, settings_of, time_of
 from .state import GpsState, OdometryPose, restart
 from .step import step
 
@@ -37,7 +37,9 @@ def fuse(
     if not calibration.gps_topic or p_b_gps is None or report.pose is None:
         return state, report
     T_o_b = np.concatenate([report.pose.p_w_b, report.pose.q_w_b])
-    frame = OdometryPose(report.t_ns + round(calibration.td_of(0) * 1e9), T_o_b)
+    frame = OdometryPose(time_of(calibration, report.t_ns, report.pose), T_o_b)
+    if state and state.recent and frame.t_ns <= state.recent[-1].t_ns:
+        state = restart(state)  # the time offset was corrected by more than a frame
     with stopwatch(ms, "gps"):
         state, found = step(settings_of(settings, calibration), p_b_gps, state or GpsState(), frame, packet.gps)
     return state, replace(report, gps=replace(found, arrived=packet.gps))

@@ -76,7 +76,7 @@ def test_fixes_come_with_the_first_frame_that_is_not_before_them(freq: float) ->
         fixes = tuple(GpsFix(t, 48.0, 11.0, 500.0, np.eye(3), 0) for t in waiting[:-1])
         packets.append(replace(packet, gps=fixes))
         waiting = waiting[-1:]
-    found = list(regroup(packets, replace(Frontend(), freq=freq), TD_S, 0, None))
+    found = list(regroup(packets, replace(Frontend(), freq=freq), 0, None))
     for before, after in pairwise(found):
         ends = [p.t_ns + round(TD_S * 1e9) for p in (before, after)]
         assert all(ends[0] < fix.t_ns <= ends[1] for fix in after.gps)
