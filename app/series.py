@@ -114,7 +114,7 @@ def run_series(summaries: Sequence[FrameSummary], truth: Trajectory | None) -> R
     keyframe = np.zeros(n, bool)
     keyframe[: max(n - 1, 0)] = [bool(s.is_keyframe) for s in summaries[1:]]
     p_w_b = _stack([s.pose.p_w_b if s.pose else None for s in summaries], 3)
-    truth_p, error = _against_truth(t_ns, p_w_b, truth)
+    truth_p, error = _against_truth(np.array([s.t_imu_ns for s in summaries], np.int64), p_w_b, truth)
     square = np.where(np.isfinite(error), error**2, 0.0)
     with np.errstate(invalid="ignore"):
         ate = np.sqrt(np.cumsum(square) / np.cumsum(np.isfinite(error)))

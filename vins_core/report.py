@@ -698,6 +698,11 @@ class FrameSummary:
     hand_eye: HandEyeSummary | None = None
     calibration: CalibrationReport | None = None
 
+    @property
+    def t_imu_ns(self) -> int:
+        """When its pose was, on the IMU's clock: the stamp of the image where there is no pose."""
+        return self.t_ns + (round(self.pose.late_s * 1e9) if self.pose else 0)
+
 
 def summarize(report: FrameReport, ms: Timings) -> FrameSummary:
     tracks, solve, init, margin = report.tracks, report.solve, report.initialization, report.marginalization

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import arg
 
@@ -10,6 +10,8 @@ from .arguments import Trajectory as Choice
 from .console import note, print_json
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from vins_core.record.recording import RunReader
     from vins_core.sensors import Trajectory
 
@@ -44,13 +46,51 @@ def evaluate(
         found = evaluate(trajectory_of(reader, trajectory), _truth(reader, truth), max_dt, first_image_ns)
         if not found.poses:
             note(f"note: {run} has no poses: it never initialised")
+        calibration = _calibration(reader)
     if json:
-        print_json(asdict(found))
+        print_json(asdict(found) | ({"calibration": calibration} if calibration else {}))
         return
     for key, value in asdict(found).items():
         label, unit = LABELS[key]
         number = "-" if value is None else f"{value:.6g} {unit}".strip()
         print(f"{label:>28}  {number}")
+    for label, entry in calibration.items():
+        sigma = "" if entry["sigma"] is None else f" (sigma {_numbers(entry['sigma'])})"
+        print(f"{label:>28}  {_numbers(entry['value'])} {entry['unit']}{sigma}")
+
+
+def _calibration(reader: RunReader) -> dict[str, dict[str, Any]]:
+    """What the run found of its calibration by its last pose: what is estimated -> value, sigma, unit.
+
+    The sigma is that of the last solve in which it was free.
+    """
+    import numpy as np
+
+    from vins_core.window.online import moved
+
+    found = [s.calibration for s in reader.summaries if s.calibration]
+    if not found:
+        return {}
+    entries: dict[str, dict[str, Any]] = {}
+
+    def add(name: str, value: np.ndarray, sigmas: list[np.ndarray], unit: str) -> None:
+        known = next((s for s in reversed(sigmas) if np.isfinite(s).all()), None)
+        sigma = None if known is None else known.tolist()
+        entries[name] = {"value": value.tolist(), "sigma": sigma, "unit": unit}
+
+    if found[-1].td_gates:
+        add("td", np.array([1e3 * found[-1].td_s]), [np.array([1e3 * c.td_sigma_s]) for c in found], "ms")
+    if found[-1].extrinsic_gates:
+        for k, camera in enumerate(reader.header.calibration.cameras):
+            shift, turn = moved(found[-1].T_b_c[k], camera.T_b_c)
+            sigmas = [c.extrinsic_sigma[k] for c in found]
+            add(f"{camera.name} moved by", 100 * shift, [100 * s[:3] for s in sigmas], "cm")
+            add(f"{camera.name} turned by", np.degrees(turn), [np.degrees(s[3:]) for s in sigmas], "deg")
+    return entries
+
+
+def _numbers(values: list[float]) -> str:
+    return " ".join(f"{value:.3f}" for value in values)
 
 
 def trajectory_of(reader: RunReader, choice: Choice) -> Trajectory:

@@ -42,7 +42,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def poses(run: Path) -> list[bytes]:
     pose = [s.pose for s in RunReader(run).summaries]
-    return [b"".join(v.tobytes() for v in vars(p).values()) if p else b"" for p in pose]
+    return [b"".join(np.asarray(v).tobytes() for v in vars(p).values()) if p else b"" for p in pose]
 
 
 def test_run_writes_a_run_that_initialises(work: Path) -> None:

@@ -34,7 +34,7 @@ class Evaluation:
 def run_trajectory(summaries: Sequence[FrameSummary]) -> Trajectory:
     """The poses of a run, at their times on the IMU's clock: each the newest frame's estimate right after its own
     solve, never revised."""
-    rows = [(s.t_ns + round(s.pose.late_s * 1e9), s.pose) for s in summaries if s.pose is not None]
+    rows = [(s.t_imu_ns, s.pose) for s in summaries if s.pose is not None]
     return Trajectory(
         np.array([t for t, _ in rows], np.int64),
         np.array([p.p_w_b for _, p in rows]).reshape(-1, 3),

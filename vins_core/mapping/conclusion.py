@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import RunError
 from ..pose_graph.graph import PoseGraph
 from ..record.recording import RunReader
@@ -26,7 +28,10 @@ def optimized_trajectory(run: RunReader) -> Trajectory:
     assert run.places is not None
     own = slice(len(run.places.graph), len(graph))
     T_g_b = graph.T_corrected[own]
-    return Trajectory(graph.t_ns[own], T_g_b[:, :3], T_g_b[:, 3:])
+    when = {s.t_ns: s.t_imu_ns for s in run.summaries}
+    return Trajectory(
+        np.array([when.get(t, t) for t in graph.t_ns[own].tolist()], np.int64), T_g_b[:, :3], T_g_b[:, 3:]
+    )
 
 
 def save_map(run: RunReader, folder: Path) -> PoseGraph:

@@ -343,16 +343,17 @@ def _flat(value: Any, key: str) -> Iterator[tuple[str, Any]]:
 
 def _metrics(first: RunReader, second: RunReader) -> tuple[Metrics, Metrics]:
     paths = [run_trajectory(r.summaries) for r in (first, second)]
-    common = np.intersect1d(paths[0].t_ns, paths[1].t_ns)
+    images = [{s.t_ns for s in r.summaries if s.pose is not None} for r in (first, second)]
+    common = images[0] & images[1]  # on the IMU's clock their poses may be at different times
     truth = first.truth or second.truth
     return _measure(first, paths[0], common, truth), _measure(second, paths[1], common, truth)
 
 
-def _measure(run: RunReader, path: Trajectory, common: np.ndarray, truth: Trajectory | None) -> Metrics:
+def _measure(run: RunReader, path: Trajectory, common: set[int], truth: Trajectory | None) -> Metrics:
     rows = run.summaries
     solved = [s.after for s in rows if s.after]
     first_image_ns = run.report(0).images[0].t_ns if rows else None
-    kept = np.isin(path.t_ns, common)
+    kept = np.array([s.t_ns in common for s in rows if s.pose is not None], bool)
     shared = Trajectory(path.t_ns[kept], path.p_w_b[kept], path.q_w_b[kept])
     return Metrics(
         frames=len(rows),
