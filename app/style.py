@@ -101,7 +101,7 @@ _GATES = f"""
  text-overflow:ellipsis;white-space:nowrap;justify-self:start;max-width:100%}}
 .vi-gates .vi-knob:hover{{color:{ESTIMATE};text-decoration:underline}}
 .vi-gates .vi-behind{{gap:8px;align-items:baseline}}
-.vi-gates+.vi-row,.vi-row+.vi-facts{{margin-top:6px}}
+.vi-gates+.vi-row,.vi-table+.vi-row,.vi-row+.vi-facts{{margin-top:6px}}
 .vi-gates .vi-lim{{display:flex;justify-content:space-between;gap:8px;font-size:11px;color:{MUTED};white-space:nowrap}}
 .vi-gates .vi-lim .vi-bad{{font-weight:600}}
 .vi-meter{{position:relative;height:12px;background:{SUNKEN};border-radius:3px;overflow:hidden}}

@@ -18,6 +18,7 @@ from vins_core.report import Gate
 from .tips.frontend import FRONTEND
 from .tips.gates import GATES
 from .tips.gps import GPS
+from .tips.hand_eye import HAND_EYE
 from .tips.loops import LOOPS
 from .tips.prior import PRIOR
 from .tips.stages import STAGES
@@ -53,6 +54,7 @@ TIPS: Mapping[str, Tip] = MappingProxyType(
         **SOLVE,
         **STATE,
         **STAGES,
+        **HAND_EYE,
         **WHAT_IF,
         **PRIOR,
         **LOOPS,

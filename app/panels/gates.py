@@ -48,6 +48,9 @@ STAGES = (
     "refinement",
 )
 """Stages of an attempt in order, for lamps of stages that an attempt did not reach."""
+SOMETIMES = ("extrinsic rotation",)
+"""Stages that come first in runs which need them."""
+ALL = (*SOMETIMES, *STAGES)
 
 
 def render(ctx: PanelContext) -> str:
@@ -119,7 +122,7 @@ def _attempt(attempt: InitReport) -> Html:
 def _lamps(attempt: InitReport) -> Html:
     """One lamp a stage; stages that were not reached stay dark."""
     done = {stage.name: stage for stage in attempt.stages}
-    names = [*STAGES, *(name for name in done if name not in STAGES)]
+    names = [*(name for name in done if name in SOMETIMES), *STAGES, *(name for name in done if name not in ALL)]
     lamps = []
     for name in names:
         stage = done.get(name)
@@ -150,7 +153,7 @@ def _stage(stage: InitStage) -> Html:
     return text((head, outcome, gate_list(stage.gates) if stage.gates else None))
 
 
-_SUFFIXES = {"deg": "deg", "px": "px460", "m": "m", "s": "s"}
+_SUFFIXES = {"deg": "deg", "px": "px460", "m": "m", "s": "s", "ms": "ms"}
 
 
 def _values(values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
@@ -160,7 +163,10 @@ def _values(values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
         axes = [f"{stem}_{axis}" for axis in "xyz"]
         if end in ("x", "y", "z") and stem and all(axis in values for axis in axes):
             if end == "x":
-                yield stem, ", ".join(number(values[axis]) for axis in axes), ""
+                name, _, units = stem.rpartition("_")
+                known = bool(name) and units in _SUFFIXES
+                label, units = (name.replace("_", " "), _SUFFIXES[units]) if known else (stem, "")
+                yield label, ", ".join(number(values[axis]) for axis in axes), units
         elif stem and end in _SUFFIXES:
             yield stem.replace("_", " "), number(value), _SUFFIXES[end]
         else:

@@ -105,8 +105,8 @@ def stage(report: HandEyeReport) -> InitStage:
     values = {}
     if report.q_b_c is not None and report.sigma_deg is not None and report.b_g is not None:
         found = {
-            "rotation_{}_deg": np.rad2deg(so3.log(report.q_b_c)),
-            "sigma_{}_deg": report.sigma_deg,
+            "rotation_deg_{}": np.rad2deg(so3.log(report.q_b_c)),
+            "sigma_deg_{}": report.sigma_deg,
             "b_g_{}": report.b_g,
         }
         values = {name.format(axis): float(v) for name, row in found.items() for axis, v in zip("xyz", row)}
