@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -44,7 +44,9 @@ class SceneFrame:
 
     @property
     def camera(self) -> CameraCalibration:
-        return self.run.header.calibration.cameras[0]
+        """Mounted as this frame estimated it, where it did."""
+        camera, known = self.run.header.calibration.cameras[0], self.report.calibration
+        return camera if known is None else replace(camera, T_b_c=known.T_b_c[0])
 
     def camera_poses(self) -> np.ndarray:
         """(n, 4, 4) T_w_c of the window's frames, none without a window."""

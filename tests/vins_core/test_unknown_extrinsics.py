@@ -81,6 +81,10 @@ def test_the_rotation_is_found_and_the_run_goes_on(tmp_path: Path, seed: int) ->
     first = next(k for k in range(len(found)) if found.summary(k).pose is not None)
     assert found.report(first).hand_eye.found and found.summary(len(found) - 1).status is Status.TRACKING
     assert found.state(first).hand_eye is None
+    refined = found.report(len(found) - 1).calibration
+    assert refined is not None
+    assert error_deg(so3.from_matrix(refined.T_b_c[0][:3, :3]), R) < 0.3
+    assert np.linalg.norm(refined.T_b_c[0][:3, 3] - SCENARIOS["unknown_extrinsics"].rig.T_b_c[:3, 3]) < 0.03
     assert repeats(found, first - 1, 3) == []
 
 
