@@ -84,6 +84,17 @@ class Frontend:
         Doc("largest distance of a match in the second camera to its epipolar line (parity: 1000)", "px460"),
     ] = 2.0
     min_stereo_share: Annotated[float, Range(0, 1), Doc("tracks the second camera should see as well (advisory)")] = 0.4
+    depth_min_patch_share: Annotated[float, Range(0, 1), Doc("share of what flow sees of a track that has a depth")] = (
+        0.6
+    )
+    depth_max_variation: Annotated[
+        float,
+        Range(0.001, 10),
+        Doc(
+            "by how much of their median a tenth of those depths may differ; noise of 2 % makes 0.033, edges much more"
+        ),
+    ] = 0.05
+    min_depth_share: Annotated[float, Range(0, 1), Doc("tracks the depth camera should measure (advisory)")] = 0.3
 
 
 @dataclass(frozen=True)
@@ -220,6 +231,31 @@ class Window:
         bool, Doc("drop landmarks after the solve by mean reprojection error (parity for VINS-Mono: off)")
     ] = True
     max_error_px: Annotated[float, Range(0.5, 30), Doc("largest mean reprojection error of a landmark", "px460")] = 3.0
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Landmarks from a depth camera (seed 000.3.2, docs/depth.md).  How it is read at a track: section frontend."""
+
+    variant: Annotated[
+        Literal["trust", "confirm", "hold"],
+        Doc(
+            "trust: the first depth is the landmark's; confirm: the mean of two frames that agree; hold: the mean of "
+            "several that agree, no longer optimised"
+        ),
+    ] = "trust"
+    sigma: Annotated[float, Range(0.0005, 0.5), Doc("standard deviation of a depth, as a share of it")] = 0.02
+    frames: Annotated[int, Range(2, 10), Doc("frames that must agree, with hold")] = 3
+    max_disagreement: Annotated[
+        float,
+        Range(0.5, 100),
+        Doc("distance between the points that frames give a landmark, with confirm and hold", "sigma"),
+    ] = 3.0
+    max_chi2: Annotated[
+        float,
+        Range(1, 1e9),
+        Doc("squared difference of measured and estimated depth over sigma squared; above, a depth counts no more"),
+    ] = 16.0
 
 
 @dataclass(frozen=True)
@@ -543,6 +579,7 @@ class Params:
     imu: Imu = field(default_factory=Imu)
     init: Init = field(default_factory=Init)
     window: Window = field(default_factory=Window)
+    depth: Depth = field(default_factory=Depth)
     projection: Projection = field(default_factory=Projection)
     online: Online = field(default_factory=Online)
     solver: Solver = field(default_factory=Solver)

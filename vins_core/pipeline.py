@@ -8,6 +8,7 @@ import numpy as np
 
 from .clock import stopwatch
 from .factors.preintegration import preintegrate
+from .frontend import depth
 from .frontend.state import TrackerState
 from .frontend.step import track
 from .fusion.stage import fuse
@@ -103,6 +104,9 @@ def step(
             {LossReason.OUTLIER: state.rejected_ids, LossReason.DEPTH: state.behind_ids},
             cameras[1] if len(cameras) > 1 else None,
         )
+    if calibration.cameras[0].depth:
+        with stopwatch(ms, "depth"):
+            tracked = depth.measure(params.frontend, calibration.cameras[0], images, packet, tracked)
     state, report, ms = advance(params, calibration, state, packet, tracked, ms)
     if places is not None and params.loop.enabled and report.status is Status.TRACKING:
         assert state.closure is not None and previous is not None
@@ -326,7 +330,7 @@ def _attempt_at(
     """With the rays as they were at the times of the poses if the time offset is `td_s`."""
     frames, history = (tuple(referred_to(f, td_s) for f in part) for part in (state.window.frames, state.history))
     window = replace(state.window, frames=frames, td_s=td_s)
-    if len(calibration.cameras) > 1:
+    if len(calibration.cameras) > 1 or calibration.cameras[0].depth:
         return stereo.initialize(params, calibration, window)
     return initialize(params, calibration, window, history)
 

@@ -94,6 +94,26 @@ class RightLoss(StrEnum):
     NO_IMAGE = "no image"
 
 
+class DepthLoss(StrEnum):
+    """Why the depth image says nothing of a track."""
+
+    NO_IMAGE = "no image"
+    MISSING = "no depth"
+    NEAR = "too near"
+    FAR = "too far"
+    EDGE = "at an edge"
+
+
+class DepthUse(StrEnum):
+    """What the estimator makes of a depth at a landmark's anchor."""
+
+    FACTOR = "pulls at its depth"
+    HELD = "held there"
+    WAITING = "waiting for more frames"
+    UNSTEADY = "frames disagree"
+    GATED = "disagrees with the estimate"
+
+
 class LandmarkStatus(StrEnum):
     CANDIDATE = "candidate"
     TRIANGULATED = "triangulated"
@@ -105,6 +125,10 @@ LOSS_REASONS = tuple(LossReason)
 """`TrackReport.lost_reason` holds indices into this tuple."""
 RIGHT_LOSSES = tuple(RightLoss)  # begins as LOSS_REASONS does
 """`TrackReport.right_loss` holds indices into this tuple."""
+DEPTH_LOSSES = tuple(DepthLoss)
+"""`TrackReport.depth_loss` holds indices into this tuple."""
+DEPTH_USES = tuple(DepthUse)
+"""`DepthReport.use` holds indices into this tuple."""
 LANDMARK_STATUSES = tuple(LandmarkStatus)
 """`LandmarkReport.status` holds indices into this tuple."""
 
@@ -128,6 +152,20 @@ class TrackReport:
     """(n, 2) float32, where the second camera sees each track; NaN where it does not."""
     right_loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
     """(n,) uint8, index into RIGHT_LOSSES; 255 where there is a match."""
+    # with a depth camera, else empty; one row per track alive
+    depth_m: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    """(n,) float32 m, as flow sees it around each track; NaN where too few pixels have one."""
+    depth_variation: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    """(n,) float32, by how much a tenth of the depths around it differ from their median, as a share."""
+    depth_share: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    """(n,) float32, share of the pixels around it that have a depth."""
+    depth_loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
+    """(n,) uint8, index into DEPTH_LOSSES; 255 where the estimator gets the depth."""
+
+    @property
+    def usable_depth_m(self) -> np.ndarray:
+        """(n,) float32, NaN where the estimator gets none."""
+        return np.where(self.depth_loss == 255, self.depth_m, np.float32(np.nan))
 
 
 @dataclass(frozen=True)
@@ -206,10 +244,11 @@ class CostSplit:
     visual: float = 0.0
     imu: float = 0.0
     prior: float = 0.0
+    depth: float = 0.0
 
     @property
     def total(self) -> float:
-        return self.visual + self.imu + self.prior
+        return self.visual + self.imu + self.prior + self.depth
 
 
 @dataclass(frozen=True)
@@ -263,6 +302,37 @@ class LandmarkReport:
     n_obs: np.ndarray  # (m,) uint8
     error_px: np.ndarray  # (m,) float32 mean reprojection error, px460; NaN unknown
     status: np.ndarray  # (m,) uint8, index into LANDMARK_STATUSES
+
+
+@dataclass(frozen=True)
+class DepthReport:
+    """What a depth camera says beside what the solve says (docs/depth.md).
+
+    Errors are (measured / estimated - 1) / sigma.
+    """
+
+    sigma: float  # of a measured depth, as a share of it
+    # one row per landmark of the window whose anchor has a depth
+    ids: np.ndarray  # (m,) int64
+    measured_m: np.ndarray  # (m,) float32 along z of the anchor; of `confirm` and `hold` the mean of the frames
+    estimated_m: np.ndarray  # (m,) float32, after the solve; NaN without an estimate
+    disagreement: np.ndarray  # (m,) float32 sigma between the frames that were compared; NaN where none were
+    use: np.ndarray  # (m,) uint8, index into DEPTH_USES
+    # one row per track of the newest frame that has a depth
+    seen_ids: np.ndarray  # (k,) int64
+    seen_m: np.ndarray  # (k,) float32 measured along z of the newest camera
+    seen_estimated_m: np.ndarray  # (k,) float32, of its landmark after the solve; NaN without one
+    gates: tuple[Gate, ...]  # advisory: shares of the landmarks and tracks that agree
+
+    @property
+    def error_sigma(self) -> np.ndarray:
+        """(m,) of the landmarks at their anchors."""
+        return (self.measured_m / self.estimated_m - 1.0) / self.sigma
+
+    @property
+    def seen_error_sigma(self) -> np.ndarray:
+        """(k,) of the tracks in the newest frame."""
+        return (self.seen_m / self.seen_estimated_m - 1.0) / self.sigma
 
 
 @dataclass(frozen=True)
@@ -609,11 +679,12 @@ class FrameReport:
     gps: GpsReport | None = None  # None before the first pose, and where no fixes are fused
     hand_eye: HandEyeReport | None = None  # while initialising with unknown extrinsics
     calibration: CalibrationReport | None = None  # None where nothing of it is estimated
+    depth: DepthReport | None = None  # None without a depth camera, and before the window is solved
 
 
 Timings = dict[str, float]
-"""Milliseconds per stage of one frame: decode, track, preintegrate, initialize, solve, marginalize, slide, describe,
-loop, graph, gps, record."""
+"""Milliseconds per stage of one frame: decode, track, depth, preintegrate, initialize, solve, marginalize, slide,
+describe, loop, graph, gps, record."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ Times are integer nanoseconds of the recording's own clock; a camera's `td_s` sa
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -219,4 +219,13 @@ class ImageSource(Protocol):
 
     def load(self, ref: ImageRef) -> np.ndarray:
         """Grey image (rows, columns) uint8; raises RecordingError when it cannot be read."""
+        ...
+
+
+@runtime_checkable
+class DepthSource(ImageSource, Protocol):
+    """An image source with depth images, which mode rgbd_imu needs."""
+
+    def load_depth(self, ref: DepthRef, scale_m: float) -> np.ndarray:
+        """Depth image (rows, columns) float32 in metres, NaN where unknown; `scale_m`: of an integer image."""
         ...

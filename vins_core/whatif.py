@@ -80,9 +80,10 @@ def recorded_tracks(run: RunReader, k: int, params: Params) -> tuple[TrackerStat
     tracker, report = run.state(k).tracker, run.report(k).tracks
     seen = tracker.age >= params.frontend.min_track_count
     right = tracker.right.among(tracker.ids[seen]) if tracker.right else None
+    depth_m = report.usable_depth_m[seen] if len(report.depth_loss) else None
     return (
         tracker,
-        Observations(tracker.ids[seen], tracker.rays[seen], tracker.uv_px[seen], report.velocity[seen], right),
+        Observations(tracker.ids[seen], tracker.rays[seen], tracker.uv_px[seen], report.velocity[seen], right, depth_m),
         report,
     )
 

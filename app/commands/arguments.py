@@ -62,7 +62,7 @@ ParamsFile = Annotated[
 ]
 Loops = Annotated[Literal["on", "off"] | None, arg(help="close loops; on by default, like --set loop.enabled=...")]
 ModeWish = Annotated[
-    Literal["mono_imu", "stereo_imu", "stereo"] | None,
+    Literal["mono_imu", "stereo_imu", "stereo", "rgbd_imu"] | None,
     arg(help="which sensors to use; by default most of what recording and calibration offer (`vinspect info` lists)"),
 ]
 Trajectory = Annotated[

@@ -1,10 +1,12 @@
-"""Initialisation with two cameras: a pair of images has depth, so there is no scale to find (REFERENCE N12, N13).
+"""Initialisation with two cameras or a depth camera: one frame has depth, so there is no scale to find.
 
-With IMU: every frame of a full window is placed by PnP on the landmarks that the pairs before have given, landmarks
+With IMU: every frame of a full window is placed by PnP on the landmarks that the frames before have given, landmarks
 and poses are adjusted together, then gyroscope bias, velocities and gravity follow from them, and at last the window is
 solved with the IMU.  VINS-Fusion takes gravity from the first accelerometer samples and leaves the rest to its solver;
 that is wrong by as much as the body accelerates, and nothing could fail.  Without IMU: the first frame that sees enough
-landmarks is the world, upright as far as its camera is.
+landmarks is the world, upright as far as its camera is (REFERENCE N12, N13).
+
+A depth camera is trusted here whatever `depth.variant` says: frames can be compared only once their poses are known.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from ..sensors import Calibration
 from ..solver.solve import solve
 from ..window import landmarks
 from ..window.assemble import assemble, solve_report, unpack
+from ..window.create import create_landmarks
 from ..window.locate import locate
 from ..window.slide import restrict
 from ..window.state import TRIANGULATED, Landmarks, WindowFrame, WindowState
@@ -39,6 +42,7 @@ def initialize(params: Params, calibration: Calibration, window: WindowState) ->
     The world of the result has z up; the oldest body is at its origin with yaw 0.  Its prior says how far from zero
     the accelerometer bias may be.
     """
+    params = replace(params, depth=replace(params.depth, variant="trust"))
     init, noise, g_norm = params.init, calibration.noise, calibration.gravity_m_s2
     stages: list[InitStage] = []
     gravity = b_g = td_s = None
@@ -107,7 +111,7 @@ def begin(params: Params, window: WindowState) -> tuple[WindowState | None, Init
     (frame,) = window.frames
     q = so3.from_two_vectors(-window.T_b_c[0][:3, 1], np.array([0.0, 0.0, 1.0]))
     q = so3.multiply(so3.exp(np.array([0.0, 0.0, -float(so3.heading(q))])), q)
-    begun = landmarks.triangulate(params.window, replace(window, frames=(replace(frame, q_w_b=q),)))
+    begun = create_landmarks(params, replace(window, frames=(replace(frame, q_w_b=q),)))
     stage = _enough_landmarks(params, begun)
     return (begun if stage.passed else None), InitReport((stage,), stage.passed, 0, None, None, None)
 
@@ -120,21 +124,30 @@ def _bridged(params: Params, intervals_s: list[float]) -> InitStage:
 
 def _enough_landmarks(params: Params, window: WindowState) -> InitStage:
     n = int(np.count_nonzero(window.landmarks.status == TRIANGULATED))
-    gate = Gate("stereo_landmarks", n, ">=", params.init.min_matches, "init.min_matches")
-    why = (
-        "too few points are seen by both cameras: check the order of the cameras and their extrinsics, or find texture"
-    )
-    return InitStage("stereo landmarks", (gate,), "" if gate.passed else why)
+    if len(window.T_b_c) > 1:
+        source = "stereo"
+        why = (
+            "too few points are seen by both cameras: check the order of the cameras and their extrinsics, or find "
+            "texture"
+        )
+    else:
+        source = "depth"
+        why = (
+            "too few points have a depth: check that depth is registered to the camera, its scale and its range, or "
+            "find texture; mode mono_imu does without"
+        )
+    gate = Gate(f"{source}_landmarks", n, ">=", params.init.min_matches, "init.min_matches")
+    return InitStage(f"{source} landmarks", (gate,), "" if gate.passed else why)
 
 
 def _place(params: Params, window: WindowState) -> tuple[WindowState, InitStage]:
-    """The frames one after the other, by PnP on what the pairs of images before them have given."""
+    """The frames one after the other, by PnP on the landmarks of those before them."""
 
     def together(frames: tuple[WindowFrame, ...], table: Landmarks) -> WindowState:
         return replace(window, frames=frames, landmarks=restrict(table, frames), prior=None, inertial=False)
 
     first = replace(window.frames[0], p_w_b=np.zeros(3), q_w_b=np.array([1.0, 0.0, 0.0, 0.0]))
-    placed = landmarks.triangulate(params.window, together((first,), Landmarks.empty()))
+    placed = create_landmarks(params, together((first,), Landmarks.empty()))
     stage, fewest = _enough_landmarks(params, placed), np.inf
     if not stage.passed:
         return placed, stage
@@ -144,7 +157,7 @@ def _place(params: Params, window: WindowState) -> tuple[WindowState, InitStage]
         if not gate.passed:
             why = f"frame {frame.frame} could not be placed: {fewest:.0f} landmarks agree on a pose"
             return placed, InitStage("frames", (*stage.gates, gate), why)
-        placed = landmarks.triangulate(params.window, placed)
+        placed = create_landmarks(params, placed)
     agree = Gate("agreeing_points", fewest, ">=", params.init.min_pnp_points, "init.min_pnp_points")
     return placed, InitStage("frames", (*stage.gates, agree), "")
 
@@ -165,7 +178,8 @@ def _adjust(params: Params, placed: WindowState, g_norm: float) -> tuple[WindowS
     """Poses and landmarks together, as the cameras alone see them."""
     adjusted, report = _solve(params, placed, g_norm)
     gate = _reprojection(params, report)
-    why = "the two cameras and the poses do not fit the tracks: check intrinsics, extrinsics and synchronisation"
+    source = "the two cameras" if len(placed.T_b_c) > 1 else "the depths"
+    why = f"{source} and the poses do not fit the tracks: check intrinsics, extrinsics and synchronisation"
     values = {"landmarks": float(report.n_landmarks), "iterations": float(len(report.iterations))}
     return adjusted, InitStage("structure", (gate,), "" if gate.passed else why, values)
 

@@ -14,9 +14,9 @@ from .recording import Recording, Stream
 
 Mode = Literal["mono_imu", "stereo_imu", "stereo", "rgbd_imu"]
 MODES: tuple[Mode, ...] = get_args(Mode)
-SUPPORTED: tuple[Mode, ...] = ("mono_imu", "stereo_imu", "stereo")
+SUPPORTED: tuple[Mode, ...] = ("mono_imu", "stereo_imu", "stereo", "rgbd_imu")
 """Those that the estimator can run."""
-PREFERRED: tuple[Mode, ...] = ("stereo_imu", "mono_imu", "stereo")
+PREFERRED: tuple[Mode, ...] = ("stereo_imu", "rgbd_imu", "mono_imu", "stereo")
 """What a run is in when nobody says: the first that is possible."""
 
 MIN_IMU_HZ = 50.0
@@ -82,6 +82,11 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
             f"{where}: has one camera, and mode {mode} needs two"
             + ("" if calibration.has_imu else "; one camera without an IMU cannot tell how large the world is")
         )
+    if mode == "rgbd_imu" and calibration.cameras[0].depth is None:
+        raise CalibrationError(
+            f"{where}: has no depth camera, which mode {mode} needs; expected depth_topic in a VINS config, or "
+            "depth of the camera in vinspect's own"
+        )
     if calibration.extrinsics == "unknown" and mode != "mono_imu":
         _check_unknown(where, calibration, mode)
     notes = []
@@ -94,8 +99,8 @@ def prepare(calibration: Calibration, mode: Mode = "mono_imu") -> tuple[Calibrat
         notes.append(f"imu: not used, mode {mode} goes by the cameras alone")
     if mode == "stereo":
         notes.append("loops: not closed, since without an IMU nothing shows where down is")
-    if calibration.cameras[0].depth:
-        notes.append(f"depth of {calibration.cameras[0].name}: depth images are not supported yet and not used")
+    if calibration.cameras[0].depth and not used.cameras[0].depth:
+        notes.append(f"depth of {calibration.cameras[0].name}: not used, mode {mode} goes without")
     if calibration.extrinsics == "refine" and not used.has_imu:
         notes.append(
             "estimate_extrinsic: without an IMU nothing tells where the cameras are; the given values are used"

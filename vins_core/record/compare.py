@@ -273,6 +273,7 @@ _STAGE_OF = {
     "initialization": "initialization",
     "solve": "solve",
     "window": "solve",
+    "depth": "solve",
     "relocalizations": "loop",
     "closure": "loop",
     "gps": "gps",
@@ -361,7 +362,7 @@ def _measure(run: RunReader, path: Trajectory, common: set[int], truth: Trajecto
         keyframes=sum(bool(s.is_keyframe) for s in rows),
         initialised_frame=next((s.frame for s in rows if s.initialization == ""), None),
         restarts=sum(s.health != "" for s in rows),
-        cost=CostSplit(*(float(np.mean([getattr(c, n) for c in solved])) for n in ("visual", "imu", "prior")))
+        cost=CostSplit(*(float(np.mean([getattr(c, n) for c in solved])) for n in ("visual", "imu", "prior", "depth")))
         if solved
         else None,
         landmarks=float(np.mean([s.n_landmarks for s in rows if s.after])) if solved else None,

@@ -14,8 +14,13 @@ import numpy as np
 
 from ..params import Params
 from ..report import (
+    DEPTH_LOSSES,
+    DEPTH_USES,
     LANDMARK_STATUSES,
     LOSS_REASONS,
+    DepthLoss,
+    DepthReport,
+    DepthUse,
     FrameReport,
     Gate,
     GpsReport,
@@ -57,6 +62,9 @@ LOSS_KNOBS = {
 }
 """The parameter that a loss of this kind depends on most."""
 
+DEPTH_KNOBS = {DepthLoss.MISSING: "frontend.depth_min_patch_share", DepthLoss.EDGE: "frontend.depth_max_variation"}
+USE_KNOBS = {DepthUse.UNSTEADY: "depth.max_disagreement", DepthUse.GATED: "depth.max_chi2"}
+
 _OUTLIER = LANDMARK_STATUSES.index(LandmarkStatus.OUTLIER)
 
 
@@ -91,6 +99,8 @@ def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
         yield Decision("solve", "frames in the window", tuple(report.window.frames.tolist()), knob="window.size")
         again = tuple(sorted(r.query for r in report.relocalizations))
         yield Decision("solve", "loops in the window", again, knob="loop.relocalize")
+    if report.depth:
+        yield from _depths(report.depth)
     if report.solve:
         yield from _solve(report.solve, params)
     if report.landmarks and report.solve:
@@ -120,6 +130,9 @@ def _tracks(tracks: TrackReport) -> Iterator[Decision]:
         ids = np.sort(tracks.lost_ids[tracks.lost_reason == index])
         yield Decision("front end", f"tracks lost: {reason}", tuple(ids.tolist()), knob=LOSS_KNOBS.get(reason, ""))
     yield Decision("front end", "new tracks", tracks.n_new, knob="frontend.max_cnt")
+    for index, loss in enumerate(DEPTH_LOSSES if len(tracks.depth_loss) else ()):
+        ids = tracks.ids[tracks.depth_loss == index]
+        yield Decision("front end", f"no depth: {loss}", tuple(ids.tolist()), knob=DEPTH_KNOBS.get(loss, ""))
 
 
 def _keyframe(report: KeyframeReport) -> Decision:
@@ -144,6 +157,12 @@ def _solve(solve: SolveReport, params: Params) -> Iterator[Decision]:
         goes_on = "goes on" if n < len(solve.iterations) else _ending(solve)
         yield Decision("solve", f"after step {n}", goes_on, tuple(to_go_on))
     yield Decision("solve", "termination", _ending(solve))
+
+
+def _depths(report: DepthReport) -> Iterator[Decision]:
+    for index, use in enumerate(DEPTH_USES):
+        ids = report.ids[report.use == index]
+        yield Decision("solve", f"depth {use}", tuple(ids.tolist()), knob=USE_KNOBS.get(use, "depth.variant"))
 
 
 def step_gates(solve: SolveReport, params: Params) -> Iterator[tuple[Gate, ...]]:

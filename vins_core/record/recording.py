@@ -5,7 +5,7 @@
     frames.log    a block a frame: report, timings, packet, and the state after it (HOUSE, "Time travel")
     index.log     a block a frame: where it lies in frames.log, and its summary; made again when missing or damaged
     map/          with loops: the map that the run begins with, its vocabulary at least (mapping/maps.py)
-    images.log    with --embed-images: the images of each frame, losslessly
+    images.log    with --embed-images: the images of each frame and its depth, losslessly
     global.log    with GPS: the final trajectory, written when the run ends (fusion/conclusion.py)
     end.json      written last: how the run ended
 
@@ -29,7 +29,7 @@ import numpy as np
 from ..clock import stopwatch
 from ..errors import OutputError, RunError
 from ..report import FrameReport, FrameSummary, Timings, summarize
-from ..sensors import ImageRef, ImageSource, Packet, Trajectory
+from ..sensors import DepthRef, DepthSource, ImageRef, ImageSource, Packet, Trajectory
 from . import header as headers
 from .codec import Blob, Ledger, pack, pack_series
 from .header import RunHeader
@@ -91,6 +91,7 @@ class RunWriter:
         """
         self.path = Path(path)
         self._images = images if header.embedded_images else None
+        self._depth = header.calibration.cameras[0].depth
         self._ledger = Ledger()
         self._create_folder()
         self._frames = LogWriter(self.path / FRAMES)
@@ -129,6 +130,8 @@ class RunWriter:
         timings = dict(timings)
         with stopwatch(timings, "record"):  # known too late for frames.log: only the index has it
             if self._image_log and self._images:
+                if self._depth and packet is not None and packet.depth is not None:
+                    own["depth"] = self._image_log.append(self._packed_depth(packet.depth))
                 own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
             if state is not None and report.closure is not None and report.closure.keyframe is not None:
                 own["keyframe"] = _newest_keyframe(state)
@@ -160,6 +163,10 @@ class RunWriter:
             self.close()
         else:
             self.close(f"{problem or kind}" if isinstance(problem, Exception) else INTERRUPTED)
+
+    def _packed_depth(self, ref: DepthRef) -> bytes:
+        assert self._depth is not None and isinstance(self._images, DepthSource)
+        return pack({"depth_m": self._images.load_depth(ref, self._depth.scale_m)})
 
     def _create_folder(self) -> None:
         try:
@@ -300,6 +307,22 @@ class RunReader:
                     where = f"{self.path / IMAGES} at byte {block.offset}"
                     return _decode(self._images.read(block), (camera.height, camera.width), where)
         raise RunError(f"{self.path} holds no image {ref.index} of camera {ref.camera} at {ref.t_ns} ns")
+
+    def load_depth(self, ref: DepthRef, scale_m: float) -> np.ndarray:
+        """The depth image of a reference in metres, as a `DepthSource`, as it was scaled when the run was made."""
+        if self._images is None:
+            raise RunError(f"{self.path} holds no images: it was made without --embed-images")
+        times = np.array([s.t_ns for s in self.summaries], np.int64)
+        k = int(np.searchsorted(times, ref.t_ns))
+        for near in range(max(k - 1, 0), min(k + 2, len(self))):
+            if self.packet(near).depth == ref:
+                block = self._section(near, "depth", Block)
+                where = f"{self.path / IMAGES} at byte {block.offset}"
+                depth_m = Blob(self._images.read(block), where).get("depth_m", np.ndarray)
+                if depth_m.ndim != 2 or depth_m.dtype != np.float32:
+                    raise RunError(f"{where} does not hold a depth image")
+                return depth_m
+        raise RunError(f"{self.path} holds no depth image {ref.index} at {ref.t_ns} ns")
 
     def same_bytes(self, other: RunReader, k: int) -> bool:
         """Whether frame k is known to be the same in both, as those that a fork copied are."""

@@ -13,7 +13,7 @@ from ..io.sync import TimeOffset
 from ..mapping.places import Places
 from ..pipeline import RunState, step
 from ..report import FrameSummary, Timings, summarize
-from ..sensors import ImageRef, ImageSource, Packet
+from ..sensors import DepthRef, DepthSource, ImageRef, ImageSource, Packet
 from .header import RunHeader
 from .recording import FINISHED, INTERRUPTED, RunReader, RunWriter
 
@@ -91,6 +91,10 @@ class _TimedImages:
     def load(self, ref: ImageRef) -> np.ndarray:
         with stopwatch(self._ms, "decode"):
             return self._source.load(ref)
+
+    def load_depth(self, ref: DepthRef, scale_m: float) -> np.ndarray:
+        assert isinstance(self._source, DepthSource)
+        return self._source.load_depth(ref, scale_m)
 
     def take_decoding_out_of(self, ms: Timings) -> Timings:
         """The timings of a frame with `decode` on its own instead of within `track`."""

@@ -9,12 +9,13 @@ of all of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from ..report import CostSplit
+from .depth_term import DepthTerm
 from .inertial_term import InertialTerm
 from .layout import Layout
 from .prior_term import PriorTerm
@@ -29,6 +30,7 @@ class Residuals:
     visual: np.ndarray  # (2, N) whitened, before the robust loss, in the order of the problem's tables
     imu: np.ndarray  # (K, 15) whitened
     prior: np.ndarray  # (n,)
+    depth: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (K,) whitened, before the robust loss
 
 
 @dataclass(frozen=True)
@@ -53,26 +55,28 @@ class Linearizer:
         self.visual = tuple(VisualTerm(problem, layout, table) for table in problem.tables)
         self.inertial = InertialTerm(problem, layout) if problem.imu else None
         self.prior = PriorTerm(problem.prior, layout) if problem.prior else None
+        self.depth = DepthTerm(problem.depths, problem.loss) if problem.depths else None
         self._scatter = _Scatter([t for t in (*self.visual, self.inertial, self.prior) if t], layout.size)
 
     def linearize(self, states: States, curved: bool = False) -> NormalEquations:
         """`curved`: H with the curvature of the robust loss (factors/robust.py); cost and gradient are the same."""
         m, P = self.problem.n_landmarks, self.layout.visual
         landmarks = np.zeros((m, P)), np.zeros(m), np.zeros(m)
-        visual = inertial = prior = 0.0
-        r_visual, r_imu, r_prior = np.zeros((2, 0)), np.zeros((0, 15)), np.zeros(0)
+        visual = inertial = prior = depth = 0.0
+        r_visual, r_imu, r_prior, r_depth = np.zeros((2, 0)), np.zeros((0, 15)), np.zeros(0), np.zeros(0)
         blocks = iter(self._scatter.blocks)
         if self.visual:
             terms = [term.linearize(states, next(blocks), curved) for term in self.visual]
             visual, r_visual, landmarks = terms[0] if len(terms) == 1 else _sum(terms)
+        if self.depth:
+            depth, r_depth, landmarks = self.depth.linearize(states, landmarks, curved)
         if self.inertial:
             inertial, r_imu = self.inertial.linearize(states, next(blocks))
         if self.prior:
             prior, r_prior = self.prior.linearize(states, next(blocks))
         H, g = self._scatter.add()
-        return NormalEquations(
-            CostSplit(visual, inertial, prior), H, g, *landmarks, Residuals(r_visual, r_imu, r_prior)
-        )
+        cost = CostSplit(visual, inertial, prior, depth)
+        return NormalEquations(cost, H, g, *landmarks, Residuals(r_visual, r_imu, r_prior, r_depth))
 
     def retract(self, states: States, dc: np.ndarray, dl: np.ndarray) -> States:
         """states [+] (dc, dl)."""

@@ -1,6 +1,6 @@
 """One window as a least-squares problem: what is estimated, what was measured.  Pure data.
 
-    min  1/2 |r_prior|^2 + 1/2 sum |L^-1 r_imu|^2 + 1/2 sum rho(|r_visual|^2)
+    min  1/2 |r_prior|^2 + 1/2 sum |L^-1 r_imu|^2 + 1/2 sum rho(|r_visual|^2) + 1/2 sum rho(r_depth^2)
 
 Frames are numbered by slot, oldest 0; the factors are tables of slots and rows.  Poses may go on after those of the
 frames: places, earlier keyframes that see landmarks of the window, tied to nothing else (REFERENCE R2).
@@ -89,6 +89,22 @@ class Projections:
 
 
 @dataclass(frozen=True)
+class Depths:
+    """What a depth camera says of the landmarks: factors (factors/depth.py), and landmarks that are no variables."""
+
+    landmark: np.ndarray  # (K,) row of States.inv_depths, each at most once
+    depth_m: np.ndarray  # (K,) along z of the anchor
+    sigma: float  # standard deviation, as a share of the depth
+    held: np.ndarray  # (H,) rows of States.inv_depths that stay as they are; no row is in both
+
+    def among(self, chosen: np.ndarray) -> Depths:
+        """Of the landmarks in `chosen` (M,) bool, which become rows 0, 1, ..."""
+        renumber, kept = np.cumsum(chosen) - 1, chosen[self.landmark]
+        held = renumber[self.held[chosen[self.held]]]
+        return Depths(renumber[self.landmark[kept]], self.depth_m[kept], self.sigma, held)
+
+
+@dataclass(frozen=True)
 class PriorFactor:
     """r + J (x [-] x0) over `blocks`, whose tangents are the columns of J in this order."""
 
@@ -116,6 +132,8 @@ class WindowProblem:
     """Whether the time offset is a variable; all tables have a `motion` then."""
     stereo: tuple[Projections, ...] = ()
     """What a second camera sees of the same landmarks, a table for each kind."""
+    depths: Depths | None = None
+    """What a depth camera says of them; None without one."""
     inertial: bool = True
     """Whether there is an IMU.  Without, speeds and biases are no variables and nothing shows where down is: the whole
     pose of the oldest frame is held."""

@@ -21,6 +21,7 @@ from ..report import SolveReport
 from ..solver.layout import Variable
 from ..solver.problem import PriorFactor, Projections, RayMotion, States, WindowProblem, hold_oldest
 from ..solver.trust_region import Solution
+from . import depth
 from .state import OUTLIER, Landmarks, Observations, WindowFrame, WindowState
 from .timing import referred_to, right_velocity
 
@@ -37,6 +38,7 @@ class Tracks:
     right: np.ndarray | None = None  # (O, 3) unit rays in the second camera, NaN where it does not see the track
     velocity: np.ndarray | None = None  # (O, 2) d(x/z, y/z)/dt of rays, where the time offset is estimated
     right_velocity: np.ndarray | None = None  # (O, 2) likewise of right
+    depth_m: np.ndarray | None = None  # (O,) along z of the first camera, NaN where a depth camera says nothing
 
     @property
     def anchor(self) -> np.ndarray:
@@ -84,6 +86,7 @@ def gather_tracks(frames: tuple[WindowFrame, ...], moving: bool = False) -> Trac
         _of_right(observations, lambda o, right: right.rays, 3)[order] if stereo else None,
         np.concatenate([o.velocity for o in observations])[order].astype(float) if moving else None,
         _of_right(observations, right_velocity, 2)[order] if stereo and moving else None,
+        _depths(observations)[order] if any(o.depth_m is not None for o in observations) else None,
     )
 
 
@@ -96,6 +99,16 @@ def _of_right(
         if o.right is not None:
             mine[np.searchsorted(o.ids, o.right.ids)] = value(o, o.right)
     return np.concatenate(rows)
+
+
+def _depths(observations: list[Observations]) -> np.ndarray:
+    """(O,), NaN also where a ray has no place on the normalised plane."""
+    return np.concatenate(
+        [
+            np.full(len(o), np.nan) if o.depth_m is None else np.where(o.rays[:, 2] > MIN_RAY_Z, o.depth_m, np.nan)
+            for o in observations
+        ]
+    )
 
 
 @dataclass(frozen=True)
@@ -113,7 +126,7 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
 
     A landmark enters when it is triangulated in front of its anchor, no outlier, seen in at least
     `window.min_observations` frames, and anchored early enough: slot < n - 3 (REFERENCE W6: < 8 of 11).  One that a
-    second camera has seen needs no parallax between frames and may be anchored in any.
+    second camera has seen, or a depth camera at its anchor, needs no parallax and may be anchored in any.
     """
     frames = window.frames
     tracks = tracks_of(window)
@@ -125,7 +138,9 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         usable = (table.ids[row] == tracks.ids) & (table.status[row] != OUTLIER)
         usable &= inv_depth > 0  # False for NaN
     usable &= tracks.count >= params.window.min_observations
-    usable &= (tracks.anchor < len(frames) - 3) | tracks.stereo
+    measured = depth.points(params.depth, window, tracks, np.where(inv_depth > 0, inv_depth, np.nan))
+    near = tracks.stereo if measured is None else tracks.stereo | measured.counts
+    usable &= (tracks.anchor < len(frames) - 3) | near
 
     landmark = np.cumsum(usable) - 1
     is_factor = usable[tracks.track]
@@ -162,6 +177,7 @@ def assemble(params: Params, window: WindowState, gravity_m_s2: float) -> Assemb
         FOCAL_PX / params.window.pixel_sigma,
         Loss(params.window.loss, params.window.loss_scale),
         stereo=() if tracks.right is None else _stereo_projections(params, tracks, tracks.right, usable, window.td_s),
+        depths=None if measured is None else depth.factors(params.depth, measured, usable),
         inertial=window.inertial,
     )
     return Assembly(problem, tracks, tracks.ids[usable], tracks.anchor[usable])

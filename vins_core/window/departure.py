@@ -11,6 +11,7 @@ import numpy as np
 from ..factors.prior import difference_poses
 from ..params import Params
 from ..report import BlockReport, CostSplit
+from ..solver.depth_term import DepthTerm
 from ..solver.inertial_term import InertialTerm
 from ..solver.layout import Layout, Variable
 from ..solver.linearize import Linearizer, NormalEquations, Residuals
@@ -112,7 +113,7 @@ class Departure:
             yield r, J, columns
 
     def projections(self) -> NormalEquations | None:
-        """All projections; None when there are none."""
+        """All projections, with the depths of their landmarks; None when there are none."""
         problem = replace(self.problem, imu=(), prior=None)
         if not problem.tables:
             return None
@@ -144,6 +145,8 @@ class Departure:
             np.add.at(h, landmark, depth[:, :, 0] ** 2)
             np.add.at(g_l, landmark, depth[:, :, 0] * r)
             residuals.append(unweighted)
+        if problem.depths:
+            _, _, (W, h, g_l) = DepthTerm(problem.depths, problem.loss).linearize(problem.initial, (W, h, g_l))
         nothing = Residuals(np.concatenate(residuals, 1), np.zeros((0, 15)), np.zeros(0))
         return NormalEquations(CostSplit(), H, g, W, h, g_l, nothing)
 
@@ -170,7 +173,7 @@ class Departure:
 def oldest_leaves(params: Params, window: WindowState, gravity_m_s2: float) -> Departure:
     """MARGIN_OLD (REFERENCE G1): pose and speed-bias of slot 0 and the landmarks anchored there leave.
 
-    Factors: the prior, IMU (0, 1), projections of landmarks anchored in slot 0.
+    Factors: the prior, IMU (0, 1), projections and depths of landmarks anchored in slot 0.
     """
     assembly = assemble(params, window, gravity_m_s2)
     problem = assembly.problem
@@ -185,6 +188,7 @@ def oldest_leaves(params: Params, window: WindowState, gravity_m_s2: float) -> D
         initial=replace(problem.initial, inv_depths=problem.initial.inv_depths[leaving]),
         projections=of_leaving(problem.projections),
         stereo=tuple(of_leaving(table) for table in problem.stereo),
+        depths=problem.depths.among(leaving) if problem.depths else None,
         imu=tuple((k, m) for k, m in problem.imu if k == 0),
         free_extrinsics=True,
         free_td=window.knows_td,
@@ -207,6 +211,7 @@ def second_newest_leaves(params: Params, window: WindowState, gravity_m_s2: floa
         initial=replace(problem.initial, inv_depths=np.zeros(0)),
         projections=problem.projections[:0],
         stereo=(),
+        depths=None,
         imu=(),
         free_extrinsics=True,
         free_td=window.knows_td,

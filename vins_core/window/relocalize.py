@@ -132,7 +132,7 @@ def relocalization_reports(
 def _errors_px(problem: WindowProblem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Of every projection (N,) before and after the solve, px460; before it only where places see something."""
     scale, seen = FOCAL_PX / problem.sqrt_info, problem.projections.observer >= problem.n_frames
-    alone = replace(problem, projections=problem.projections[seen], stereo=(), imu=(), prior=None)
+    alone = replace(problem, projections=problem.projections[seen], stereo=(), imu=(), prior=None, depths=None)
     before = np.full(len(seen), np.nan)
     before[seen] = np.hypot(*Linearizer(alone).linearize(problem.initial).residuals.visual)
     return scale * before, scale * np.hypot(*solution.system.residuals.visual[:, : len(seen)])

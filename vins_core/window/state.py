@@ -36,6 +36,8 @@ class Observations:
     velocity: np.ndarray  # (n, 2) float32, d(x/z, y/z)/dt, 1/s
     right: Observations | None = None
     """Those of these tracks that the second camera sees as well, in its image and its frame; None without one."""
+    depth_m: np.ndarray | None = None
+    """(n,) float32, along z of the camera, NaN where the depth camera says nothing; None without one."""
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -11,6 +11,7 @@ from ..factors.preintegration import repropagate
 from ..params import Imu, Params
 from ..report import (
     CalibrationReport,
+    DepthReport,
     FrameReport,
     Gate,
     HealthReport,
@@ -29,8 +30,9 @@ from ..sensors import Calibration, ImuNoise
 from ..solver.covariance import relative_poses
 from ..solver.solve import solve
 from ..solver.trust_region import Solution
-from . import degeneracy, health, landmarks, online
+from . import degeneracy, depth, health, landmarks, online
 from .assemble import Assembly, assemble, inv_depth_sigma, solve_report, unpack
+from .create import create_landmarks
 from .marginalize import NOTHING_LEFT, marginalize_oldest, marginalize_second_newest
 from .relocalize import RelocalisationRequest, add_places, relocalization_reports
 from .slide import drop_oldest, drop_second_newest
@@ -51,6 +53,7 @@ class Estimate:
     marginalization: MarginalizationReport | None
     relocalizations: tuple[RelocalizationReport, ...] = ()  # not judged yet: that is for the loop stage
     calibration: CalibrationReport | None = None
+    depth: DepthReport | None = None
 
     def explain(self, report: FrameReport) -> FrameReport:
         return replace(
@@ -63,6 +66,7 @@ class Estimate:
             pose=self.pose,
             relocalizations=self.relocalizations,
             calibration=self.calibration,
+            depth=self.depth,
         )
 
 
@@ -95,7 +99,7 @@ def solve_window(
     with stopwatch(ms, "repropagate"):
         window = _repropagate(params.imu, window, calibration.noise)
     with stopwatch(ms, "triangulate"):
-        window = landmarks.triangulate(params.window, window)
+        window = create_landmarks(params, window)
     with stopwatch(ms, "solve"):
         assembly, places = add_places(assemble(params, window, calibration.gravity_m_s2), window, requests)
         released = online.release(params, window)
@@ -143,17 +147,19 @@ def estimate(
         verdict = health.check(params.health, keyframe.tracked, previous, pose, arrival)
         gates, motion = degeneracy.check(params.health, turn.solved.frames, turn.solved.T_b_c[0][:3, :3])
         verdict = replace(verdict, gates=(*verdict.gates, *gates), degeneracy=motion)
+        depth_report = depth.report(params.depth, turn.window, turn.judged, turn.assembly)
     done = Estimate(
-        None,
-        pose,
-        turn.rejected,
-        turn.report,
-        window_report,
-        landmark_report,
-        verdict,
-        None,
-        turn.relocalizations,
-        turn.calibration,
+        window=None,
+        pose=pose,
+        rejected=turn.rejected,
+        solve=turn.report,
+        window_report=window_report,
+        landmarks=landmark_report,
+        health=verdict,
+        marginalization=None,
+        relocalizations=turn.relocalizations,
+        calibration=turn.calibration,
+        depth=depth_report,
     )
     if not all_pass(verdict.gates):
         return done

@@ -29,7 +29,7 @@ from vins_core.runner import run_recording
 from vins_core.solver import backend, compile, compiled_rows
 from vins_core.solver.backend import COMPILED, NUMPY, VARIABLE, Backend, choose, recorded, using
 from vins_core.solver.linearize import Linearizer, NormalEquations
-from vins_core.solver.problem import States, WindowProblem
+from vins_core.solver.problem import Depths, States, WindowProblem
 from vins_core.solver.solve import solve
 from vins_core.window.assemble import assemble
 
@@ -136,6 +136,16 @@ def test_a_free_time_offset_has_the_bits_of_numpy(compiled: Backend, form: str, 
     window = st.make(0.01, stereo=True, n_frames=7, n_tracks=60).window
     p = replace(assemble(params, window, sw.GRAVITY).problem, free_td=True, free_extrinsics=free_extrinsics)
     p = replace(p, initial=replace(p.initial, td_s=np.array([0.007])))
+    assert differences(linearize(compiled, p), linearize(choose("numpy"), p)) == []
+
+
+@needs_compiler
+def test_depths_that_pull_and_are_held_have_the_bits_of_numpy(compiled: Backend) -> None:
+    p = problem()
+    rows = np.arange(p.n_landmarks)
+    depths = Depths(rows[5:], 1.01 / p.initial.inv_depths[5:], 0.02, rows[:5])
+    p = replace(p, depths=depths)
+    assert linearize(compiled, p).cost.depth > 0
     assert differences(linearize(compiled, p), linearize(choose("numpy"), p)) == []
 
 
