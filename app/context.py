@@ -164,6 +164,8 @@ class PanelContext:
     image_note: str  # why there is none, one sentence
     width: int  # of the image, px
     height: int
+    second_uri: str = ""  # of the image that a second camera took with it
+    second_note: str = ""  # why there is none
     playing: bool = False
     signals: tuple[str, ...] = ()  # names of the signals the layout wants plotted; empty: all
     progress: str = ""  # what the estimator is doing while it still runs, one sentence

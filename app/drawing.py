@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vins_core.errors import VinspectError
+from vins_core.report import FrameReport
 from vins_core.sensors import ImageRef
 
 from .comparison import OtherRun
@@ -176,8 +177,9 @@ class Drawing:
     def _context(self, run: RunView, k: int) -> PanelContext:
         session, answers, visible = self._session, self._session.answers, self._session.workspace.visible
         report = run.report(k)
-        uri, note = self._image(report.images[-1])
-        model = run.header.calibration.cameras[report.images[-1].camera].model
+        uri, note = self._image(report.image)
+        second_uri, second_note = self._second_image(report)
+        model = run.header.calibration.cameras[0].model
         experiment = answers.experiment.look(run, k, asking="what_if" in visible)
         loops = self._loops(run, k, experiment.changes)
         pair = self._pair_images(run, loops)
@@ -189,6 +191,8 @@ class Drawing:
             selection=session.selection,
             image_uri=uri,
             image_note=note,
+            second_uri=second_uri,
+            second_note=second_note,
             width=model.width,
             height=model.height,
             playing=session.cursor.playing,
@@ -229,12 +233,19 @@ class Drawing:
         """Of the later keyframe and the earlier one, as `_image`."""
         pair = loops.pair if loops is not None and "pair" in self._session.workspace.visible else None
         rows = (pair.row, pair.earlier) if pair is not None else (None, None)
-        later, earlier = (self._image(run.report(row.frame).images[-1]) if row else ("", "") for row in rows)
+        later, earlier = (self._image(run.report(row.frame).image) if row else ("", "") for row in rows)
         return later, earlier
 
     def _departure(self, run: RunView, k: int) -> DepartureView | None:
         wanted = "prior" in self._session.workspace.visible and self._session.prior_side != "after"
         return self._session.answers.departure.look(run, k) if wanted else None
+
+    def _second_image(self, report: FrameReport) -> tuple[str, str]:
+        """Of the second camera, as `_image`."""
+        if "stereo" not in self._session.workspace.visible:
+            return "", ""
+        ref = report.second_image
+        return self._image(ref) if ref is not None else ("", "The second camera took no image with this one.")
 
     def _image(self, ref: ImageRef) -> tuple[str, str]:
         """(data URI, why there is none)."""
@@ -254,7 +265,7 @@ class Drawing:
         if report.landmarks is not None and not self._unit_m:
             self._unit_m = scene_unit(report)
         try:
-            thumbnail = session.opened.images.thumbnail(report.images[-1]) if report.window is not None else None
+            thumbnail = session.opened.images.thumbnail(report.image) if report.window is not None else None
         except VinspectError:
             thumbnail = None
         passed = session.opened.map.at(k)

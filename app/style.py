@@ -312,6 +312,9 @@ _LOOPS = f"""
 .vi-match:hover .e,.vi-match:hover .r,.vi-loose:hover .l{{display:inline}}
 .vi-match:hover{{stroke:{SELECTION}}} .vi-match:hover .l{{--s:2.4px;opacity:1}}
 svg:has(>.vi-match:hover)>.vi-match:not(:hover){{opacity:.25}}
+.vi-match.vi-picked .l,.vi-match.vi-picked .e,.vi-match.vi-picked .r{{display:inline}}
+.vi-zoom [data-pair]{{cursor:pointer}} .vi-steps td{{white-space:nowrap}}
+.vi-steps svg{{display:inline-block;vertical-align:-1.5px}} .vi-match.vi-picked circle{{--r:5px}}
 .vi-match .e{{stroke:{SELECTION};stroke-dasharray:4 3;--s:1.6px;opacity:1}}
 .vi-match .r{{stroke:#FFFFFF;fill:none;--r:5px;--s:1.6px;opacity:1}}
 .vi-fate{{cursor:pointer}} .vi-fate:hover{{color:{STRONG}}}

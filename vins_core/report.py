@@ -149,7 +149,8 @@ class TrackReport:
     gates: tuple[Gate, ...]  # e.g. F-RANSAC inlier ratio, share surviving flow
     # with a second camera, else empty; one row per track alive
     right_uv_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.float32))
-    """(n, 2) float32, where the second camera sees each track; NaN where it does not."""
+    """(n, 2) float32, where the second camera sees each track, or seemed to before flow-back or the epipolar line
+    refused it; NaN where it was not found at all."""
     right_loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
     """(n,) uint8, index into RIGHT_LOSSES; 255 where there is a match."""
     # with a depth camera, else empty; one row per track alive
@@ -661,7 +662,7 @@ class FrameReport:
 
     frame: int
     t_ns: int
-    images: tuple[ImageRef, ...]  # every image tracked for this frame; the last one is the frame
+    images: tuple[ImageRef, ...]  # every image tracked for this frame, as in its packet
     n_imu: int
     status: Status
     anomalies: tuple[Anomaly, ...]
@@ -680,6 +681,16 @@ class FrameReport:
     hand_eye: HandEyeReport | None = None  # while initialising with unknown extrinsics
     calibration: CalibrationReport | None = None  # None where nothing of it is estimated
     depth: DepthReport | None = None  # None without a depth camera, and before the window is solved
+
+    @property
+    def image(self) -> ImageRef:
+        """The frame itself: the newest image of camera 0."""
+        return next(ref for ref in reversed(self.images) if ref.camera == 0)
+
+    @property
+    def second_image(self) -> ImageRef | None:
+        """What a second camera took with it."""
+        return self.images[-1] if self.images[-1].camera == 1 else None
 
 
 Timings = dict[str, float]

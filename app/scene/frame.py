@@ -48,6 +48,18 @@ class SceneFrame:
         camera, known = self.run.header.calibration.cameras[0], self.report.calibration
         return camera if known is None else replace(camera, T_b_c=known.T_b_c[0])
 
+    @property
+    def second_camera(self) -> CameraCalibration | None:
+        return next(iter(self.run.header.calibration.cameras[1:2]), None)
+
+    def second_camera_pose(self) -> np.ndarray | None:
+        """(4, 4) T_w_c of the newest frame's second camera; None without one, and without a window."""
+        window, camera = self.report.window, self.second_camera
+        if window is None or camera is None:
+            return None
+        known = self.report.calibration
+        return window_camera_poses(window, camera.T_b_c if known is None else known.T_b_c[1])[-1]
+
     def camera_poses(self) -> np.ndarray:
         """(n, 4, 4) T_w_c of the window's frames, none without a window."""
         if self.report.window is None:

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 
 from vins_core.geometry import so3
+from vins_core.sensors import CameraCalibration
 
 from .. import palette
 from .frame import SceneFrame, vertical_fov
@@ -22,6 +23,7 @@ class WindowLayer:
         self._scene = scene
         self._frustums: list[viser.CameraFrustumHandle] = []
         self._newest: viser.CameraFrustumHandle | None = None
+        self._second: viser.CameraFrustumHandle | None = None
         self._edges = Segments(scene, "/imu/edges", None, 4.0)
         self._on = True
 
@@ -45,13 +47,15 @@ class WindowLayer:
             node.visible = on
         if self._newest:
             self._newest.visible = on
+        if self._second:
+            self._second.visible = on
 
     def _draw_frustums(self, frame: SceneFrame, T_w_c: np.ndarray) -> None:
         n = len(T_w_c)
         while len(self._frustums) < n - 1:
-            self._frustums.append(self._frustum(frame, f"/window/{len(self._frustums)}", palette.ESTIMATE, 1.6))
+            self._frustums.append(self._frustum(frame.camera, f"/window/{len(self._frustums)}", palette.ESTIMATE, 1.6))
         if n and self._newest is None:
-            self._newest = self._frustum(frame, "/window/newest", palette.SELECTION, 2.4)
+            self._newest = self._frustum(frame.camera, "/window/newest", palette.SELECTION, 2.4)
         scale = frustum_scale(T_w_c, frame.unit_m)
         window = frame.report.window
         for slot, node in enumerate(self._frustums):
@@ -68,9 +72,25 @@ class WindowLayer:
             if n:
                 _place(self._newest, T_w_c[-1], 2.2 * scale, palette.SELECTION)
                 self._newest.image = frame.thumbnail
+        self._draw_second(frame, 2.2 * scale)
 
-    def _frustum(self, frame: SceneFrame, name: str, colour: str, thickness: float) -> viser.CameraFrustumHandle:
-        fov, aspect = vertical_fov(frame.camera)
+    def _draw_second(self, frame: SceneFrame, scale: float) -> None:
+        """The newest frame's second camera, without its image: both would hide each other."""
+        T_w_c, camera = frame.second_camera_pose(), frame.second_camera
+        if self._second is None and T_w_c is not None and camera is not None:
+            self._second = self._frustum(camera, "/window/second", palette.SELECTION, 1.2)
+        if self._second is None:
+            return
+        visible = self._on and T_w_c is not None
+        if self._second.visible != visible:
+            self._second.visible = visible
+        if T_w_c is not None:
+            _place(self._second, T_w_c, scale, palette.SELECTION)
+
+    def _frustum(
+        self, camera: CameraCalibration, name: str, colour: str, thickness: float
+    ) -> viser.CameraFrustumHandle:
+        fov, aspect = vertical_fov(camera)
         return self._scene.add_camera_frustum(
             name,
             fov,

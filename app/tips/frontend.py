@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from vins_core.report import LossReason
+from vins_core.report import LossReason, RightLoss
 
 from .tip import Tip
 
@@ -47,4 +47,39 @@ FRONTEND: Mapping[str, Tip] = {
     ),
     f"loss.{LossReason.DEPTH}": Tip("negative depth", "The solve put the landmark behind its camera.", source="W10"),
     f"loss.{LossReason.RESET}": Tip("tracker reset", "The images have a gap, or time went back.", source="T1"),
+    "stereo.match": Tip(
+        "match",
+        "A track that the second camera sees as well: its depth is known from this pair alone.",
+        source="TF6",
+    ),
+    "stereo.offset": Tip(
+        "distance to the epipolar line",
+        "Of the matches, with the side of the line on which they lie. A median away from zero is no noise: the "
+        "rotation between the cameras or their intrinsics are a little wrong.",
+        equation="460 asin(ray₁ · n / |n|),   n = t × R ray₀",
+        unit=_PX,
+    ),
+    "stereo.landmark": Tip(
+        "landmark in the right image",
+        "How far the solved landmark, seen by the right camera, is from its match.",
+        unit="px",
+    ),
+    f"right.{RightLoss.FLOW}": Tip(
+        "flow failed", "Optical flow from the left image to the right one found no minimum.", source="TF6"
+    ),
+    f"right.{RightLoss.BORDER}": Tip("border", "The point lies outside the right image.", source="TF6"),
+    f"right.{RightLoss.FLOW_BACK}": Tip(
+        "flow-back",
+        "Tracked back into the left image, the point does not return to where it was.",
+        equation="|track_back(track(u)) − u| > frontend.flow_back_px",
+        unit="px",
+        source="TF6",
+    ),
+    f"right.{RightLoss.EPIPOLAR}": Tip(
+        "epipolar line",
+        "The calibration says on which line of the right image the point must lie; this one is too far from it.",
+        equation="ray₁ᵀ E ray₀ = 0,   E = [t]ₓ R",
+        unit=_PX,
+    ),
+    f"right.{RightLoss.NO_IMAGE}": Tip("no image", "The second camera took no image with this one.", source="TF10"),
 }

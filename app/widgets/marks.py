@@ -6,7 +6,7 @@ so that no two reasons differ in colour alone.
 
 from __future__ import annotations
 
-from vins_core.report import LossReason
+from vins_core.report import LossReason, RightLoss
 
 from ..html import Html
 from ..palette import BAD, MUTED, UNTRACKED
@@ -29,12 +29,29 @@ LOSS_MARKS: dict[LossReason, tuple[str, str]] = {
 """(colour, path around 0, 0) by reason."""
 
 
+RIGHT_MARKS: dict[RightLoss, tuple[str, str]] = {
+    RightLoss.FLOW: (UNTRACKED, _TIMES),
+    RightLoss.FLOW_BACK: (UNTRACKED, _PLUS),
+    RightLoss.BORDER: (MUTED, _TIMES),
+    RightLoss.EPIPOLAR: (BAD, _TIMES),
+    RightLoss.NO_IMAGE: (MUTED, _PLUS),
+}
+"""Likewise, why a track has no match in the second camera."""
+
+
 def star(colour: str) -> Html:
     return Html(f'<svg width="12" height="12" viewBox="-7 -7 14 14"><path d="{STAR}" fill="{colour}"/></svg>')
 
 
 def loss_mark(reason: LossReason) -> Html:
-    colour, shape = LOSS_MARKS[reason]
+    return _cross(*LOSS_MARKS[reason])
+
+
+def right_mark(loss: RightLoss) -> Html:
+    return _cross(*RIGHT_MARKS[loss])
+
+
+def _cross(colour: str, shape: str) -> Html:
     return Html(
         f'<svg width="12" height="12" viewBox="-7 -7 14 14"><path d="{shape}" fill="none" stroke="{colour}" '
         'stroke-width="2" stroke-linecap="round"/></svg>'

@@ -138,7 +138,7 @@ def keyframes_of(run: RunReader, params: Params) -> tuple[list[LoopKeyframe], Tr
             if run.summary(k).marginalized != "MARGIN_OLD":
                 continue
             window = run.state(k).window
-            image = source.load(run.report(window.frames[-2].frame).images[-1])
+            image = source.load(run.report(window.frames[-2].frame).image)
             odometry = _odometry(run, k) if found else None
             t0 = time.perf_counter()
             slot, corners = len(window.frames) - 2, params.loop.max_corners

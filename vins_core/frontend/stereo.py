@@ -51,8 +51,9 @@ class Matches:
         return self.fate == KEPT
 
     def reported_px(self) -> np.ndarray:
-        """(n, 2) float32, NaN where there is no match."""
-        return np.where(self.found[:, None], self.uv_px, np.float32(np.nan))
+        """(n, 2) float32, where a track was found, also where that was refused; NaN elsewhere."""
+        placed = np.isin(self.fate, (KEPT, FATES[RightLoss.FLOW_BACK], FATES[RightLoss.EPIPOLAR]))
+        return np.where(placed[:, None], self.uv_px, np.float32(np.nan))
 
     def observations(self, ids: np.ndarray) -> Observations:
         """The matches of the tracks `ids` (n,)."""
