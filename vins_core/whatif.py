@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .frontend.state import TrackerState
+from .fusion.stage import fuse
 from .geometry import so3
 from .params import Params
 from .pipeline import advance, step
@@ -60,14 +61,15 @@ def resolve(
             _, after, ms = step(params, header.calibration, images, state, packet)
         else:
             tracked = recorded_tracks(run, k, params)
-            _, after, ms = advance(params, header.calibration, state, packet, tracked, {})
+            state, after, ms = advance(params, header.calibration, state, packet, tracked, {})
+            _, after = fuse(params.gps, header.calibration, state.gps, packet, after, ms)
     before, after = without_map(before), without_map(after)
     return WhatIf(before, after, header.params_at(k), params, ms, rerun_frontend)
 
 
 def without_map(report: FrameReport) -> FrameReport:
-    """What front end and estimator said of a frame."""
-    return replace(report, relocalizations=(), closure=None, gps=None)
+    """What front end, estimator and GPS fusion said of a frame."""
+    return replace(report, relocalizations=(), closure=None)
 
 
 def needs_frontend(changes: dict[str, object]) -> bool:

@@ -10,6 +10,7 @@ import pytest
 from same import differences
 from street import SETTINGS, on_earth, short_drive, verdicts
 
+from vins_core import params
 from vins_core.errors import RunError
 from vins_core.fusion.conclusion import final_track, global_trajectory, smooth_run
 from vins_core.io.write import calibration_path
@@ -18,9 +19,10 @@ from vins_core.record.compare import compare
 from vins_core.record.fork import fork, recorded_images
 from vins_core.record.recording import RunReader
 from vins_core.record.reevaluate import GateHistory
-from vins_core.report import FixVerdict, GpsStatus
+from vins_core.report import FixVerdict, GpsStatus, Status
 from vins_core.runner import run_recording
 from vins_core.simulation.simulate import Simulation
+from vins_core.whatif import resolve
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +133,26 @@ def test_switched_off_nothing_is_fused(run: RunReader, tmp_path: Path) -> None:
     forked = RunReader(tmp_path / "fork")
     assert all(forked.report(k).gps is None for k in range(at, len(forked)))
     assert len(final_track(forked).t_ns) == len(final_track(run).t_ns) - 3
+
+
+def test_a_frame_again_judges_its_fixes_again(run: RunReader) -> None:
+    used = [s.frame for s in run.summaries if s.gps and any(f.verdict is FixVerdict.USED for f in s.gps.fixes)][-1]
+    same = resolve(run, used, run.header.params)
+    assert differences(same.after, same.before) == [] and same.after.gps is not None
+    stricter = params.replace(run.header.params, {"gps.min_sigma_m": 0.1})
+    found = resolve(run, used, stricter).first_difference
+    assert found is not None and (found.stage, found.knob) == ("gps", "gps.min_sigma_m")
+
+
+def test_a_restart_of_the_odometry_keeps_nothing_but_the_earth(run: RunReader, tmp_path: Path) -> None:
+    at = len(run) - 3
+    fork(run, at, tmp_path / "fork", {"health.max_jump_m": 0.1}, frames=1)
+    failed = RunReader(tmp_path / "fork")
+    assert failed.report(at).status is Status.FAILED and failed.report(at).gps is None
+    before, after = run.state(at - 1).gps, failed.state(at).gps
+    assert before is not None and after is not None and before.nodes
+    assert after.origin == before.origin
+    assert (after.nodes, after.recent, after.prior, after.aligned) == ((), (), None, False)
 
 
 def test_gates_of_fixes_are_judged_again_at_once(run: RunReader) -> None:
