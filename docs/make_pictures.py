@@ -1,6 +1,6 @@
 """The pictures of the documentation: makes the runs, opens them in headless Chromium, and photographs the page.
 
-    python docs/make_pictures.py [overview] [why] [loops]     # all by default; Debian's chromium is needed
+    python docs/make_pictures.py [overview] [why] [loops] [gps]     # all by default; Debian's chromium is needed
 
 Whatever the page shows is computed here and now, by the commands that the documentation names.
 """
@@ -218,7 +218,19 @@ def first_inconsistent(run: RunView) -> int:
     return next(row.number for row in run.loops.rows() if row.outcome is LoopOutcome.INCONSISTENT)
 
 
-PICTURES = {"overview": overview, "why": why, "loops": loops}
+def gps(folder: Path) -> None:
+    """The picture of gps.md: after the outage, an outlier selected."""
+    command("simulate", "street_gps", "--out", folder / "street", "--format", "asl")
+    command("run", folder / "street", "--out", folder / "street_gps")
+    with studio(folder / "street_gps") as s:
+        s.page.keyboard.press("Alt+7")
+        fixes = s.run.series.gps
+        outlier = [k for k, failed in enumerate(fixes.failed) if "chi2" in failed][-2]
+        s.page.evaluate(f"vi.send({{k: 'pick', t: 'fix', i: {outlier}}})")
+        s.photograph("gps")
+
+
+PICTURES = {"overview": overview, "why": why, "loops": loops, "gps": gps}
 
 if __name__ == "__main__":
     wanted = sys.argv[1:] or list(PICTURES)

@@ -98,7 +98,9 @@ def _from_recording(recording: Recording | None) -> Settings:
         raise CalibrationError(f"{' and '.join(missing)}: missing, so this folder has no calibration; give --calib")
     others = [recording.folder(s.topic) / "sensor.yaml" for s in cameras[1:]]
     second = [path for path in others[:1] if path.exists() and euroc_yaml.describes_camera(read_yaml(path))]
-    paths = [folders[0] / "sensor.yaml", *second, folders[1] / "sensor.yaml"]
+    receivers = [recording.folder(s.topic) / "sensor.yaml" for s in recording.of_role("gps")]
+    placed = [path for path in receivers if path.exists() and euroc_yaml.describes_antenna(read_yaml(path))]
+    paths = [folders[0] / "sensor.yaml", *second, folders[1] / "sensor.yaml", *(placed if len(placed) == 1 else [])]
     settings = Settings(*euroc_yaml.read([Keys(path, read_yaml(path)) for path in paths]))
     unused = [s.topic for s in cameras[1 + len(second) :]]
     notes = [f"{', '.join(unused)} not used: there is no calibration of it in its folder"] if unused else []

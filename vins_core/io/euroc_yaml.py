@@ -28,14 +28,19 @@ def describes_camera(content: Mapping[str, Any]) -> bool:
     return all(key in content for key in ("T_BS", "camera_model", "intrinsics", "resolution"))
 
 
-def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
-    """Calibration from the files of the IMU and of one or two cameras, in their order.
+def describes_antenna(content: Mapping[str, Any]) -> bool:
+    """Whether a GPS receiver's sensor.yaml says where its antenna is."""
+    return content.get("sensor_type") == "gps" and "T_BS" in content
 
-    T_b_c = inverse(T_BS of the IMU) @ T_BS of the camera.
+
+def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...]]:
+    """Calibration from the files of the IMU and of one or two cameras, in their order, and perhaps of a GPS receiver.
+
+    T_b_c = inverse(T_BS of the IMU) @ T_BS of the camera, and alike for the antenna.
     """
     imu = _only(files, "imu")
-    cameras = [f for f in files if f.content.get("sensor_type") == "camera"]
-    if not 1 <= len(cameras) <= 2 or len(cameras) + 1 != len(files):
+    cameras, receivers = ([f for f in files if f.content.get("sensor_type") == kind] for kind in ("camera", "gps"))
+    if not 1 <= len(cameras) <= 2 or len(receivers) > 1 or len(cameras) + len(receivers) + 1 != len(files):
         names = ", ".join(str(f.path) for f in files)
         raise CalibrationError(
             f"{names}: expected one or two sensor.yaml with sensor_type camera, found {len(cameras)}"
@@ -61,13 +66,25 @@ def read(files: list[Keys]) -> tuple[Calibration, dict[str, Any], tuple[str, ...
         estimate_td=read_flag(imu, "estimate_td"),
         extrinsics=read_extrinsics(imu),
     )
+    for receiver in receivers:
+        calibration = _with_antenna(receiver, T_body_imu, calibration)
     return calibration, {}, tuple(notes)
 
 
-def _camera(keys: Keys, name: str, T_body_imu: np.ndarray) -> CameraCalibration:
-    T_body_camera = keys.transform("T_BS", "the transform from the camera to the body")
+def _with_antenna(keys: Keys, T_body_imu: np.ndarray, calibration: Calibration) -> Calibration:
+    T_b_g = _in_imu(keys.transform("T_BS", "the transform from the antenna to the body"), T_body_imu)
+    topic = keys.text("topic", "the receiver's topic") if "topic" in keys else ""
+    x, y, z = T_b_g[:3, 3].tolist()
+    return replace(calibration, gps_topic=topic, p_b_gps=(x, y, z))
+
+
+def _in_imu(T_body_sensor: np.ndarray, T_body_imu: np.ndarray) -> np.ndarray:
     same = np.array_equal(T_body_imu, np.eye(4))
-    T_b_c = T_body_camera if same else se3.inverse(T_body_imu) @ T_body_camera
+    return T_body_sensor if same else se3.inverse(T_body_imu) @ T_body_sensor
+
+
+def _camera(keys: Keys, name: str, T_body_imu: np.ndarray) -> CameraCalibration:
+    T_b_c = _in_imu(keys.transform("T_BS", "the transform from the camera to the body"), T_body_imu)
     topic = keys.text("topic", "the camera's topic") if "topic" in keys else ""
     readout_s = keys.number("readout_s", "the readout time of an image in s") if "readout_s" in keys else 0.0
     depth = read_depth(keys.mapping("depth", "a depth camera")) if "depth" in keys else None
@@ -103,6 +120,11 @@ def camera_to_dict(camera: CameraCalibration, td_s: float) -> dict[str, Any]:
     }
     content |= {"readout_s": camera.readout_s} if camera.readout_s else {}
     return content | ({"depth": asdict(camera.depth)} if camera.depth else {})
+
+
+def antenna_to_dict(p_b_gps: tuple[float, float, float]) -> dict[str, Any]:
+    """What `read` expects of a GPS receiver's file."""
+    return {"T_BS": _matrix(se3.from_rotation_translation(np.eye(3), np.array(p_b_gps)))}
 
 
 def _matrix(T: np.ndarray) -> dict[str, Any]:

@@ -91,6 +91,8 @@ class AslWriter:
             return content
         if kind == "imu" and _same(topic, self._calibration.imu_topic):
             content |= euroc_yaml.imu_to_dict(self._calibration)
+        if kind == "gps" and self._calibration.p_b_gps and _same(topic, self._calibration.gps_topic or topic):
+            content |= euroc_yaml.antenna_to_dict(self._calibration.p_b_gps)
         for camera in self._calibration.cameras:
             if kind == "cam" and _same(topic, camera.topic):
                 content |= self._camera(camera)

@@ -221,12 +221,12 @@ SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
         ),
         "street_gps": Scenario(
             "A car drives once around a block, 68 m in 20 s, with two cameras and GPS: 5 fixes a second of 1 m noise "
-            "from an antenna 1 m off, 8 % outliers of 10 m and more, none from 12 to 17 s. On the earth it stays right "
-            "within a metre, also where there are no fixes.",
+            "from an antenna 1 m off, 12 % outliers of 10 m and more, none at all from 12 to 17 s. On the earth it "
+            "stays right within a metre, also where there are no fixes.",
             motion=lambda rig: motions.drive(street.LANE_RADII_M, period_s=20.0, height_m=1.4),
             world=street.street,
             rig=CAR,
-            gps=Receiver(outlier_share=0.08, outage_s=(12.0, 17.0)),
+            gps=Receiver(outlier_share=0.12, outage_s=(12.0, 17.0)),
             duration_s=22.0,
         ),
     }

@@ -491,3 +491,21 @@ def test_a_euroc_folder_keeps_what_a_run_shall_estimate(tmp_path: Path) -> None:
     out = write_recording(messages, tmp_path / "out", "asl", settings=replace(settings, calibration=asked))
     found = read_calibration([], open_recording(out)).calibration
     assert found.extrinsics == "unknown" and found.estimate_td
+
+
+def test_a_euroc_folder_keeps_where_the_gps_antenna_is(tmp_path: Path) -> None:
+    """In its sensor.yaml, as the place of any other sensor; also where body and IMU differ."""
+    (tmp_path / "config.yaml").write_text(with_camera(PINHOLE_BLOCK))
+    settings = read_calibration([tmp_path / "config.yaml"])
+    messages = in_time_order([*imus(0, 0.3), *images(0, 0.3), gps(T0)])
+    bare = write_recording(messages, tmp_path / "bare", "asl", settings=settings)
+    assert read_calibration([], open_recording(bare)).calibration.p_b_gps is None
+    placed = replace(settings, calibration=replace(settings.calibration, gps_topic="/gps0", p_b_gps=(0.6, -0.1, 1 / 3)))
+    out = write_recording(messages, tmp_path / "out", "asl", settings=placed)
+    found = read_calibration([], open_recording(out)).calibration
+    assert (found.gps_topic, found.p_b_gps) == ("/gps0", (0.6, -0.1, 1 / 3))
+    imu_file = out / "mav0" / "imu0" / "sensor.yaml"
+    moved = imu_file.read_text().replace("[1.0, 0.0, 0.0, 0.0, 0.0, 1.0,", "[1.0, 0.0, 0.0, 0.5, 0.0, 1.0,")
+    assert moved != imu_file.read_text()
+    imu_file.write_text(moved)
+    assert read_calibration([], open_recording(out)).calibration.p_b_gps == pytest.approx((0.1, -0.1, 1 / 3))
