@@ -15,6 +15,8 @@ from . import se3, so3
 
 _FORWARD_Z = 0.1
 """Rays flatter than this (84 degrees off the axis) are left out of the minimal solver, not out of the refinement."""
+_MEDIAN_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over the median of its absolute values."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +64,20 @@ def epipolar_angle(T_a_b: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray) ->
     return np.abs(e) / norm
 
 
-def rotation_covariance(pose: RelativePose, rays_a: np.ndarray, rays_b: np.ndarray) -> np.ndarray:
+def rotation_covariance(T_a_b: np.ndarray, rays_a: np.ndarray, rays_b: np.ndarray, threshold_rad: float) -> np.ndarray:
     """(3, 3) covariance in rad^2 of d in R_a_b <- Exp(d) R_a_b, whatever the direction of translation is.
 
-    Of the inlying rays, at the spread of their own epipolar angles; infinite where they do not determine it.
+    With the weights of the refinement over all n >= 8 rays, whose noise is told by the median of their epipolar angles;
+    infinite where they do not determine it.
     """
-    a, b = rays_a[pose.inlier], rays_b[pose.inlier]
-    if len(a) <= 5:
-        return np.full((3, 3), np.inf)
-    e, norm, J_rotation, J_translation = _linearized(pose.T_a_b, a, b)
+    e, norm, J_rotation, J_translation = _linearized(T_a_b, rays_a, rays_b)
+    angle = e / norm
+    sigma = _MEDIAN_TO_SIGMA * np.median(np.abs(angle))
+    variance = sigma**2 * len(angle) / (len(angle) - 5)
     J = np.concatenate([J_rotation, J_translation], 1) / norm[:, None]
-    variance = np.sum((e / norm) ** 2) / (len(a) - 5)
+    weight = 1.0 / (1.0 + (angle / threshold_rad) ** 2)
     try:
-        return variance * np.linalg.inv(J.T @ J)[:3, :3]
+        return variance * np.linalg.inv((J * weight[:, None]).T @ J)[:3, :3]
     except np.linalg.LinAlgError:
         return np.full((3, 3), np.inf)
 

@@ -80,7 +80,7 @@ def camera_rotation(rays_a: np.ndarray, rays_b: np.ndarray, threshold_rad: float
     covariance = (np.median(residual) / _GAUSS_MEDIAN) ** 2 * np.eye(3)
     pose = estimate_relative_pose(rays_a, rays_b, threshold_rad)
     if pose is not None:
-        of_pose = rotation_covariance(pose, rays_a, rays_b)
+        of_pose = rotation_covariance(pose.T_a_b, rays_a, rays_b, threshold_rad)
         if np.trace(of_pose) < np.trace(covariance):
             return pose.T_a_b[:3, :3], of_pose
     return R, covariance

@@ -13,6 +13,7 @@ from vins_core.geometry.mei import Mei
 from vins_core.geometry.pinhole_radtan import PinholeRadtan
 from vins_core.geometry.pinhole_rational import PinholeRational
 from vins_core.geometry.scaramuzza import Scaramuzza
+from vins_core.simulation import lenses
 
 EUROC = PinholeRadtan(752, 480, 458.654, 457.296, 367.215, 248.375, -0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)
 WIDE = PinholeRadtan(640, 480, 290.0, 291.0, 316.0, 243.0, -0.22, 0.045, -0.0011, 0.0008)
@@ -46,6 +47,7 @@ ALL = {
     "mirror": MIRROR,
     "ocam": OCAM,
     "wide ocam": WIDE_OCAM,
+    **{f"simulated {lens.name}": lens for lens in (lenses.KB_190, lenses.MEI, lenses.SCARAMUZZA, lenses.RATIONAL)},
 }
 CAMERAS = pytest.mark.parametrize("camera", ALL.values(), ids=ALL.keys())
 BEYOND_180 = [FISHEYE, HALF_A_SPHERE_AND_MORE, WIDE_OMNI, MIRROR, WIDE_OCAM]
