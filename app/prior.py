@@ -35,6 +35,7 @@ class PriorView:
     leaks: np.ndarray  # (4,) information along spectrum.GAUGE where the prior was linearised, 1/m^2 and 1/rad^2
     cost: float  # at the current states
     held_cost: float  # the part of it that no solve can lower
+    held: tuple[str, ...]  # what of the calibration is held besides position and yaw
 
 
 def prior_view(run: RunReader, frame: int) -> PriorView | None:
@@ -50,6 +51,7 @@ def prior_view(run: RunReader, frame: int) -> PriorView | None:
         seen.first.information,
         seen.cost,
         seen.held_cost,
+        seen.held,
     )
 
 

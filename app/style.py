@@ -334,6 +334,8 @@ _MAP = f"""
 .vi-north{{right:8px;top:6px}}
 .vi-mapscale{{left:8px;bottom:5px}}
 .vi-yaw{{display:grid;grid-template-columns:1fr 44px;gap:6px}}
+.vi-triple{{display:grid;grid-template-columns:1fr 1fr 1fr 44px;gap:6px}} .vi-triple>div{{position:relative}}
+.vi-axis{{position:absolute;left:4px;top:1px;font-size:10px;color:{MUTED};pointer-events:none}}
 .vi-ends{{display:flex;flex-direction:column;justify-content:space-between;font-size:11px;text-align:right}}
 """
 _FATES = "".join(

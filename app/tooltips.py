@@ -15,6 +15,7 @@ from types import MappingProxyType
 from vins_core.params import DECLARATIONS, Declaration
 from vins_core.report import Gate
 
+from .tips.calibration import CALIBRATION
 from .tips.frontend import FRONTEND
 from .tips.gates import GATES
 from .tips.gps import GPS
@@ -59,6 +60,7 @@ TIPS: Mapping[str, Tip] = MappingProxyType(
         **PRIOR,
         **LOOPS,
         **GPS,
+        **CALIBRATION,
     }
 )
 

@@ -43,7 +43,7 @@ from .window.propagate import continue_from, predict
 from .window.slide import drop_oldest, drop_second_newest, restrict
 from .window.state import Landmarks, Observations, WindowFrame, WindowState
 from .window.step import estimate, pose_of
-from .window.timing import at_middle_row, referred_to
+from .window.timing import at_middle_row, referred_to, with_velocity_now
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,8 @@ def receive(
     calibration = _effective(params, calibration)
     tracker, observations, tracks = tracked
     tracking = state.status is Status.TRACKING
-    observations = at_middle_row(calibration, observations)
     state = _shrink(params, calibration, _calibrating(params, calibration, state))
+    observations = _timed(calibration, state, packet, observations)
     previous = pose_of(state.window.frames[-1]) if tracking else None
     with stopwatch(ms, "preintegrate"):
         state = _arrive(calibration, state, packet, observations)
@@ -275,6 +275,16 @@ def _cut_by(calibration: Calibration, window: WindowState, packet: Packet) -> fl
         return window.td_s
     late_ns, half_s = packet.late_ns, 0.5 * calibration.cameras[0].readout_s
     return window.td_s if late_ns == round((window.td_s + half_s) * 1e9) else late_ns * 1e-9 - half_s
+
+
+def _timed(calibration: Calibration, state: RunState, packet: Packet, observations: Observations) -> Observations:
+    """Where it matters when each ray was seen: velocities at the frame, and rays at the time of its middle row."""
+    if not (state.window.knows_td or any(camera.readout_s for camera in calibration.cameras)):
+        return observations
+    images = [left.t_ns for left, _ in packet.pairs]
+    before = images[-2] if len(images) > 1 else state.tracker.image.t_ns if state.tracker.image else packet.t_ns
+    observations = with_velocity_now(observations, packet.imu, before + packet.late_ns, state.window.T_b_c)
+    return at_middle_row(calibration, observations)
 
 
 def _remember_decision(state: RunState, is_keyframe: bool) -> RunState:

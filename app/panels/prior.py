@@ -126,7 +126,8 @@ def _null_space(prior: PriorView) -> Iterator[Html]:
     knob = tag("a", FIRST_ESTIMATES, cls="vi-link", onclick=send(k="knob", key=FIRST_ESTIMATES))
     yield tag("div", muted("what if Jacobians kept their first estimates: "), knob, cls="vi-p")
     held = text((strong(number(prior.held_cost)), muted(" of its cost "), number(prior.cost)))
-    yield tag("div", held, muted(" can no solve lower: extrinsics, position and yaw are held"), cls="vi-small")
+    what = ", ".join((*prior.held, "position and yaw are held"))
+    yield tag("div", held, muted(f" can no solve lower: {what}"), cls="vi-small")
 
 
 _LOWEST, _HIGHEST = -24.0, 6.0

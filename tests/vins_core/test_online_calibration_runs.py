@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from calibrating import TD_S
 from same import differences
 
 from vins_core.evaluation.evaluate import evaluate, run_trajectory
@@ -44,57 +45,50 @@ def ate_m(simulation: Simulation, reader: RunReader) -> float:
 
 
 @pytest.fixture(scope="module")
-def late(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunReader]:
-    """Images stamped 20 ms early, of which the run knows nothing at the start."""
-    folder = tmp_path_factory.mktemp("late")
-    return folder, run(folder, "td_20ms", 1, 4.5)[1]
+def found(calibrating_run: Path) -> RunReader:
+    return RunReader(calibrating_run)
 
 
-def test_an_offset_of_20_ms_is_found_within_a_millisecond(late: tuple[Path, RunReader]) -> None:
-    _, reader = late
-    known = [s.calibration for s in reader.summaries if s.calibration]
-    assert known and known[0].td_gates and not known[0].extrinsic_gates
-    assert known[-1].td_s == pytest.approx(0.020, abs=1e-3)
+def test_an_offset_of_20_ms_is_found_within_a_millisecond(found: RunReader) -> None:
+    known = [s.calibration for s in found.summaries if s.calibration]
+    assert known and known[0].td_gates and known[0].extrinsic_gates
+    assert known[-1].td_s == pytest.approx(TD_S, abs=1e-3)
     assert known[-1].td_sigma_s < 1e-3
 
 
-def test_the_imu_follows_the_estimate_and_poses_tell_their_time(late: tuple[Path, RunReader]) -> None:
-    _, reader = late
-    poses = [k for k, s in enumerate(reader.summaries) if s.pose]
+def test_the_imu_follows_the_estimate_and_poses_tell_their_time(found: RunReader) -> None:
+    poses = [k for k, s in enumerate(found.summaries) if s.pose]
     for k in poses[3:]:
-        estimate_before = reader.summaries[k - 2].calibration
-        assert estimate_before is not None
-        assert reader.packet(k).late_ns == round(estimate_before.td_s * 1e9)
-        assert reader.summaries[k].pose.late_s == reader.packet(k).late_ns * 1e-9
+        estimate_before, pose = found.summaries[k - 2].calibration, found.summaries[k].pose
+        assert estimate_before is not None and pose is not None
+        assert found.packet(k).late_ns == round(estimate_before.td_s * 1e9)
+        assert pose.late_s == found.packet(k).late_ns * 1e-9
 
 
-def test_a_run_that_finds_its_offset_is_repeated_bit_for_bit_from_the_record(
-    late: tuple[Path, RunReader], tmp_path: Path
-) -> None:
-    _, reader = late
-    at = next(k for k, s in enumerate(reader.summaries) if s.calibration) - 1
-    fork(reader, at, tmp_path / "fork", {}, frames=8)
+def test_a_run_that_calibrates_itself_is_repeated_bit_for_bit_from_the_record(found: RunReader, tmp_path: Path) -> None:
+    at = next(k for k, s in enumerate(found.summaries) if s.calibration) - 1
+    fork(found, at, tmp_path / "fork", {}, frames=8)
     forked = RunReader(tmp_path / "fork")
-    found = [
+    assert [
         difference
         for k in range(at, at + 8)
         for part in ("report", "state", "packet")
-        for difference in differences(getattr(reader, part)(k), getattr(forked, part)(k))
-    ]
-    assert found == []
+        for difference in differences(getattr(found, part)(k), getattr(forked, part)(k))
+    ] == []
 
 
-def test_a_fork_may_stop_estimating_it_or_begin_with_extrinsics(late: tuple[Path, RunReader], tmp_path: Path) -> None:
-    _, reader = late
-    at = len(reader) - 6
-    fork(reader, at, tmp_path / "off", {"online.td": "off"}, frames=6)
-    fork(reader, at, tmp_path / "on", {"online.extrinsics": "on"}, frames=6)
-    held, both = RunReader(tmp_path / "off"), RunReader(tmp_path / "on")
+def test_a_fork_may_stop_calibrating_and_a_fork_of_that_begin_again(found: RunReader, tmp_path: Path) -> None:
+    at = len(found) - 8
+    fork(found, at, tmp_path / "off", {"online.td": "off", "online.extrinsics": "off"})
+    held, before = RunReader(tmp_path / "off"), found.state(at - 1).window
     assert all(s.calibration is None and s.pose for s in held.summaries[at:])
-    assert held.state(len(held) - 1).window.td_s == reader.state(at - 1).window.td_s
-    last = both.summaries[-1].calibration
-    assert last is not None and last.extrinsic_gates and np.isfinite(last.extrinsic_sigma).all()
-    assert not np.array_equal(last.T_b_c[0], reader.header.calibration.cameras[0].T_b_c)
+    after = held.state(len(held) - 1).window
+    assert after.td_s == before.td_s
+    np.testing.assert_array_equal(after.T_b_c, before.T_b_c)
+    fork(held, at + 4, tmp_path / "on", {"online.extrinsics": "on"})
+    last = RunReader(tmp_path / "on").summaries[-1].calibration
+    assert last is not None and not last.td_gates and np.isfinite(last.extrinsic_sigma).all()
+    assert not np.array_equal(last.T_b_c, before.T_b_c)
 
 
 @pytest.mark.slow

@@ -37,8 +37,9 @@ class PriorAnalysis:
     cost: float  # 1/2 |r|^2 at the current states
     extrinsics: Pull | None  # what the prior wants of the extrinsics, (dp in m, dtheta in rad) each; None without them
     held_cost: float
-    """What of `cost` no solve can lower, because extrinsics and position and yaw of the oldest pose are held: the
+    """What of `cost` no solve can lower, because `held` and position and yaw of the oldest pose are: the
     disagreement of past measurements with the calibration, and what leaked."""
+    held: tuple[str, ...] = ()  # of the calibration: what is not estimated
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ def analyse_prior(prior: Prior, window: WindowState, threshold: float) -> PriorA
     slots = {f.frame: k for k, f in enumerate(window.frames)}
     blocks = tuple(_report(key, slots, start) for key, start in zip(prior.blocks, _starts(prior.blocks)))
     extrinsics = _columns(blocks, "extrinsic")
+    estimated = {"td": window.calibrates.td, "extrinsic": window.calibrates.extrinsics}
+    held = [kind for kind in ("td", "extrinsic") if not estimated[kind] and any(b.kind == kind for b in prior.blocks)]
     oldest = next((b for b, key in zip(blocks, prior.blocks) if key.kind == "pose"), None)
     gauge = np.zeros((len(J[0]), 0)) if oldest is None else _gauge_of(oldest, window, prior)
     return PriorAnalysis(
@@ -76,7 +79,8 @@ def analyse_prior(prior: Prior, window: WindowState, threshold: float) -> PriorA
         now=leakage(J, r, prior.blocks, x),
         cost=0.5 * float(r @ r),
         extrinsics=pull(J, r, extrinsics) if extrinsics.shape[1] else None,
-        held_cost=pull(J, r, np.hstack([extrinsics, gauge])).floor,
+        held_cost=pull(J, r, np.hstack([*(_columns(blocks, kind) for kind in held), gauge])).floor,
+        held=tuple("extrinsics" if kind == "extrinsic" else kind for kind in held),
     )
 
 

@@ -16,7 +16,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..sensors import Calibration
+from ..geometry.inverse_depth import MIN_RAY_Z
+from ..sensors import Calibration, ImuSamples
 from .state import Observations, WindowFrame
 
 
@@ -46,6 +47,45 @@ def seen_at(frame: WindowFrame, td_s: float) -> Observations:
 def referred_to(frame: WindowFrame, td_s: float) -> WindowFrame:
     """`frame` with the rays of `seen_at`, which are those at `td_s` from now on."""
     return frame if frame.td_s == td_s else replace(frame, observations=seen_at(frame, td_s), td_s=td_s)
+
+
+def with_velocity_now(
+    observations: Observations, imu: ImuSamples, last_image_ns: int, T_b_c: np.ndarray
+) -> Observations:
+    """Velocities at the end of `imu` instead of the mean since the image before, as far as rotation changes them.
+
+    The tracker divides a step by its duration, which lags by half an interval: 50 ms at 10 Hz, in which a hand-held
+    camera changes its turn by more than td can bear.  By how much faster it turns at the end than on average, the
+    gyroscope knows, whatever its bias:  d(df/dt) = -(R_b_c' (w_end - w_mean)) x f.
+
+    `last_image_ns`: when the image before was taken, on the IMU's clock; the second camera's steps are those since the
+    frame before, with which `imu` begins.  T_b_c: (cameras, 4, 4).
+    """
+    if len(imu) < 2:
+        return observations
+    left = _hastened(observations, _turn_change(imu[imu.t_ns >= last_image_ns]) @ T_b_c[0, :3, :3])
+    if observations.right is None:
+        return left
+    return replace(left, right=_hastened(observations.right, _turn_change(imu) @ T_b_c[1, :3, :3]))
+
+
+def _turn_change(imu: ImuSamples) -> np.ndarray:
+    """w_end - w_mean (3,) rad/s."""
+    if len(imu) < 2:
+        return np.zeros(3)
+    dt = np.diff(imu.t_ns).astype(float)[:, None]
+    mean = np.sum(0.5 * (imu.gyro_rad_s[:-1] + imu.gyro_rad_s[1:]) * dt, 0) / dt.sum()
+    return imu.gyro_rad_s[-1] - mean
+
+
+def _hastened(observations: Observations, change_rad_s: np.ndarray) -> Observations:
+    """`observations` of a camera that turns by so much faster, in its own axes; what has not been measured stays 0."""
+    rays, velocity = observations.rays, observations.velocity
+    moves = -np.cross(change_rad_s, rays)
+    known = velocity.any(1) & (np.abs(rays[:, 2]) > MIN_RAY_Z)
+    z = np.where(known, rays[:, 2], 1.0)[:, None]
+    on_plane = moves[:, :2] / z - rays[:, :2] * moves[:, 2:] / z**2
+    return replace(observations, velocity=np.where(known[:, None], velocity + on_plane, velocity).astype(np.float32))
 
 
 def at_middle_row(calibration: Calibration, observations: Observations) -> Observations:

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vins_core.geometry import se3, so3
 from vins_core.geometry.camera import camera_from_dict
-from vins_core.sensors import Calibration, CameraCalibration, ImuNoise
+from vins_core.sensors import Calibration, CameraCalibration, ImuNoise, ImuSamples
 from vins_core.window.state import Observations
-from vins_core.window.timing import at_middle_row, moved_back, right_velocity
+from vins_core.window.timing import at_middle_row, moved_back, right_velocity, with_velocity_now
 
 ROWS, READOUT_S = 481, 0.02
 CAMERA = camera_from_dict(
@@ -58,6 +59,29 @@ def test_a_ray_goes_back_the_way_it_came_on_either_side(z: float) -> None:
     then = moved_back(now, dt_s)
     np.testing.assert_allclose((xy(now) - xy(then)) / dt_s, velocity, rtol=1e-5)
     assert np.sign(then.rays[0, 2]) == np.sign(z)
+
+
+def test_velocity_is_that_at_the_frame_though_the_tracker_measured_the_mean_before_it() -> None:
+    """A camera that turns faster and faster, by a gyroscope with a bias."""
+    T_b_c = se3.from_quaternion_translation(so3.exp(np.array([0.4, -0.7, 0.2])), np.array([0.1, 0.0, 0.2]))
+    axis, t_s = np.array([0.5, -0.6, 0.4]), np.linspace(0.0, 0.1, 21)
+
+    def rays_at(t: float) -> np.ndarray:
+        """Turned by t^2 about the axis: 2 t times as fast."""
+        R_w_c = so3.to_matrix(so3.exp(axis * t**2)) @ T_b_c[:3, :3]
+        return far @ R_w_c
+
+    far = np.random.default_rng(0).normal(size=(20, 3)) * 0.3 + T_b_c[:3, 2]
+    far /= np.linalg.norm(far, axis=1, keepdims=True)
+    plane = [rays_at(t)[:, :2] / rays_at(t)[:, 2:] for t in (0.05, 0.1, 0.1 - 1e-5, 0.1 + 1e-5)]
+    mean, true = (plane[1] - plane[0]) / 0.05, (plane[3] - plane[2]) / 2e-5
+    gyro = 2 * t_s[:, None] * axis + [0.02, 0.05, -0.03]
+    imu = ImuSamples(np.round(t_s * 1e9).astype(np.int64), gyro, np.zeros((21, 3)))
+    tracked = Observations(np.arange(20), rays_at(0.1), np.zeros((20, 2), np.float32), mean.astype(np.float32))
+    now = with_velocity_now(tracked, imu, round(0.05e9), T_b_c[None])
+    assert np.abs(now.velocity - true).max() < 0.05 * np.abs(mean - true).max()
+    still = replace(tracked, velocity=np.zeros((20, 2), np.float32))  # not measured: it stays unknown
+    np.testing.assert_array_equal(with_velocity_now(still, imu, round(0.05e9), T_b_c[None]).velocity, 0)
 
 
 def test_what_the_second_camera_has_just_found_moves_as_in_the_first() -> None:
