@@ -215,6 +215,7 @@ class RunReader:
         self._index_end = 0
         self._images = LogReader(self.path / IMAGES) if (self.path / IMAGES).is_file() else None
         self._truth: Trajectory | None = None
+        self._final_track: FinalTrack | None = None
         self._refreshing = threading.Lock()
         self._blob = Recent(self._read_blob, keep)
         self._reports = Recent(self._read_report, keep)
@@ -262,14 +263,14 @@ class RunReader:
             self._truth = self._read_block(TRUTH).get("truth", Trajectory)
         return self._truth
 
-    @cached_property
+    @property
     def final_track(self) -> FinalTrack | None:
         """What was kept when the run ended; None while it grows, and where no fixes are fused."""
-        if not self.complete or not (self.path / GLOBAL).is_file():
-            return None
-        from ..fusion.conclusion import FinalTrack
+        if self._final_track is None and (self.path / GLOBAL).is_file() and self.complete:
+            from ..fusion.conclusion import FinalTrack
 
-        return self._read_block(GLOBAL).get("final", FinalTrack)
+            self._final_track = self._read_block(GLOBAL).get("final", FinalTrack)
+        return self._final_track
 
     def summary(self, k: int) -> FrameSummary:
         return self.summaries[self._number(k)]

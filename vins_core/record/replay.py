@@ -72,11 +72,12 @@ def estimate(
 def _end(writer: RunWriter, header: RunHeader, outcome: str, poses: int) -> Result:
     """Hold the whole run to its fixes, where it has any; close the record."""
     notes = header.notes
-    with RunReader(writer.path) as run:
-        if conclusion.has_fixes(run.summaries):
-            final = conclusion.smooth_run(header, run.summaries)
-            writer.conclude(final)
-            notes += final.notes
+    if header.calibration.gps_topic:
+        with RunReader(writer.path) as run:
+            if conclusion.has_fixes(run.summaries):
+                final = conclusion.smooth_run(header, run.summaries)
+                writer.conclude(final)
+                notes += final.notes
     writer.close(outcome)
     return Result(len(writer), poses, outcome == FINISHED, notes)
 

@@ -100,6 +100,20 @@ def test_the_final_trajectory_is_kept_as_the_frames_give_it(run: RunReader) -> N
     assert differences(run.final_track, smooth_run(run.header, run.summaries)) == []
 
 
+def test_a_reader_that_watched_the_run_grow_gets_the_final_trajectory(run: RunReader, tmp_path: Path) -> None:
+    watched: list[RunReader] = []
+
+    def look() -> bool:
+        watched.append(watched[0] if watched else RunReader(tmp_path / "fork"))
+        assert watched[0].final_track is None
+        return False
+
+    fork(run, len(run) - 4, tmp_path / "fork", {}, cancelled=look)
+    watched[0].refresh()
+    assert watched[0].complete and watched[0].final_track is not None
+    assert differences(watched[0].final_track, run.final_track) == []
+
+
 def test_fixes_leave_the_odometry_alone_and_a_missing_antenna_is_a_note(run: RunReader, without: RunReader) -> None:
     notes = [note for note in without.header.notes if note.startswith("GPS")]
     assert len(notes) == 1 and "does not say where the antenna is" in notes[0] and "gps.lever_arm=off" in notes[0]
