@@ -27,11 +27,11 @@ MARKS_PER_WIDTH = 400
 """Marks keep their size in CSS pixels when the map is about this wide on the page."""
 TALLEST, FLATTEST = 1.0, 0.5
 MARGIN = 0.08
-MOST_FIXES = 800
+MOST_FIXES = 400
 """Of a long run all gated fixes are drawn, and no more than about so many that count."""
 ELLIPSES = 6
 """Newest fixes whose ellipses are drawn."""
-MOST_POINTS = 1500
+MOST_POINTS = 800
 
 CROSS, DIAMOND = "M-4,-4L4,4M4,-4L-4,4", "M0,-5.5L5.5,0L0,5.5L-5.5,0Z"
 COLOURS = {FixVerdict.USED: OK, FixVerdict.GATED: BAD, FixVerdict.OPEN: CANDIDATE}
