@@ -181,4 +181,5 @@ class PanelContext:
     graph: GraphView | None = None  # the pose graph, once it is worked out
     pair_uris: tuple[str, str] = ("", "")  # images of the two keyframes of `loops.pair`, the later first
     pair_notes: tuple[str, str] = ("", "")  # why there is none
+    depth_uri: str = ""  # data: URI of the frame's depth image, coloured; "" where there is none, or nobody looks
     departure: DepartureView | None = None  # what marginalisation started from, once it is worked out

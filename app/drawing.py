@@ -29,6 +29,7 @@ from .context import PanelContext, RunView
 from .graph import GraphView
 from .loops import LoopsView, has_loops
 from .panel_view import PanelView
+from .panels import depth
 from .prior import DepartureView
 from .scene.frame import SceneFrame, scene_unit
 from .scene.view import TOGGLES
@@ -210,6 +211,7 @@ class Drawing:
             graph=self._graph(run, k),
             pair_uris=(pair[0][0], pair[1][0]),
             pair_notes=(pair[0][1], pair[1][1]),
+            depth_uri=self._depth_image(run, k),
             departure=self._departure(run, k),
         )
 
@@ -253,6 +255,16 @@ class Drawing:
             return self._session.opened.images.uri(ref), ""
         except VinspectError as problem:
             return "", str(problem)
+
+    def _depth_image(self, run: RunView, k: int) -> str:
+        """`data:` URI, "" where there is none or nobody looks."""
+        sensor = run.header.calibration.cameras[0].depth
+        if sensor is None or depth.KEY not in self._session.workspace.visible:
+            return ""
+        with suppress(VinspectError):  # the picture says why it is not there
+            ref = run.reader.packet(k).depth
+            return self._session.opened.images.depth_uri(ref, sensor) if ref is not None else ""
+        return ""
 
     # -- the 3D view -------------------------------------------------------------------------------------------------
 

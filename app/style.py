@@ -142,6 +142,8 @@ _CAMERA = f"""
 .vi-zoom circle:hover,.vi-zoom .o:hover{{stroke:{SELECTION};--s:2.4px}}
 .vi-zoom .w{{--r:6px;--s:1.8px}}
 .vi-zoom .p{{--r:6.5px;--s:2.3px;stroke:{SELECTION};fill:#F0E44240}}
+.vi-depthplot{{display:block;width:100%;height:auto;margin-top:6px;background:{SUNKEN};border-radius:5px;
+  font:10px system-ui,sans-serif}}
 .vi-noimg{{position:absolute;inset:0;display:flex;align-items:center;justify-content:center;padding:20px;
  text-align:center;color:{MUTED};pointer-events:none}}
 .vi-scale{{display:inline-flex;align-items:center;gap:5px}}
@@ -343,7 +345,7 @@ _FATES = "".join(
     for k in range(len(MATCH_STAGES))
 )
 
-FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR}
+FACTOR_COLOURS = {"visual": ESTIMATE, "IMU": IMU, "prior": PRIOR, "depth": OK}
 """Colours of the three factor types, wherever a cost is split."""
 
 CSS = "".join(

@@ -16,6 +16,7 @@ from vins_core.params import DECLARATIONS, Declaration
 from vins_core.report import Gate
 
 from .tips.calibration import CALIBRATION
+from .tips.depth import DEPTH
 from .tips.frontend import FRONTEND
 from .tips.gates import GATES
 from .tips.gps import GPS
@@ -61,6 +62,7 @@ TIPS: Mapping[str, Tip] = MappingProxyType(
         **LOOPS,
         **GPS,
         **CALIBRATION,
+        **DEPTH,
     }
 )
 

@@ -192,10 +192,12 @@ def observations(report: FrameReport, track: int) -> list[Observation]:
 
 
 FACTORS = ("visual", "IMU", "prior")
+"""Of every run; a depth camera adds its own."""
 
 
 def split(cost: CostSplit) -> list[tuple[str, float]]:
-    return list(zip(FACTORS, (cost.visual, cost.imu, cost.prior)))
+    parts = list(zip(FACTORS, (cost.visual, cost.imu, cost.prior)))
+    return [*parts, ("depth", cost.depth)] if cost.depth else parts
 
 
 # Poses

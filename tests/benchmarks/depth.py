@@ -11,6 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,31 @@ def judge(estimated: Trajectory, truth: Trajectory, start_ns: int) -> Evaluation
     return evaluate(part, truth, max_dt_s=0.006)
 
 
+def compare(
+    seeds: Iterable[int], folder: Path, changes: dict[str, str] | None = None, variants: Sequence[str] = VARIANTS
+) -> dict[str, list[tuple[float, float, float]]]:
+    """Per variant and seed: ATE in mm, scale error in %, first pose in s.  Recordings in `folder` are made once."""
+    rows: dict[str, list[tuple[float, float, float]]] = {variant: [] for variant in variants}
+    for seed in seeds:
+        simulation, recording = simulate("depth_camera", seed, DURATION_S), folder / f"depth_{seed}"
+        if not recording.exists():
+            write_recording(simulation.messages(), recording, "asl", settings=simulation.settings)
+        start_ns = 0
+        for variant in variants:
+            estimated, restarts = estimate(simulation, recording, variant, changes or {})
+            first_s = (int(estimated.t_ns[0]) - int(simulation.image_t_ns[0])) * 1e-9
+            start_ns = start_ns or int(estimated.t_ns[0])
+            result = judge(estimated, simulation.truth, start_ns)
+            ate_mm, scale = 1e3 * result.ate_rmse_m, 100 * (result.scale - 1)
+            rows[variant].append((ate_mm, scale, first_s))
+            print(
+                f"seed {seed} {variant:8s} ATE {ate_mm:6.2f} mm  scale {scale:+5.2f} %  first pose {first_s:4.2f} s"
+                f"  poses {result.poses}  restarts {restarts}",
+                flush=True,
+            )
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5, help="how many")
@@ -64,32 +90,14 @@ def main() -> None:
     args = parser.parse_args()
     prepare()
     changes = dict(parameters.parse_assignment(text) for text in args.set)
-    variants = ["mono", args.only] if args.only else list(VARIANTS)
-    rows: dict[str, list[tuple[float, float, float]]] = {variant: [] for variant in variants}
+    variants = ("mono", args.only) if args.only else VARIANTS
     with tempfile.TemporaryDirectory() as temporary:
-        for seed in range(args.first, args.first + args.seeds):
-            simulation = simulate("depth_camera", seed, DURATION_S)
-            recording = (args.keep or Path(temporary)) / f"depth_{seed}"
-            if not recording.exists():
-                write_recording(simulation.messages(), recording, "asl", settings=simulation.settings)
-            start_ns = 0
-            for variant in variants:
-                estimated, restarts = estimate(simulation, recording, variant, changes)
-                first_s = (int(estimated.t_ns[0]) - int(simulation.image_t_ns[0])) * 1e-9
-                start_ns = start_ns or int(estimated.t_ns[0])
-                result = judge(estimated, simulation.truth, start_ns)
-                rows[variant].append((1e3 * result.ate_rmse_m, 100 * (result.scale - 1), first_s))
-                ate_mm, scale, _ = rows[variant][-1]
-                print(
-                    f"seed {seed} {variant:8s} ATE {ate_mm:6.2f} mm  scale {scale:+5.2f} %  first pose {first_s:4.2f} s"
-                    f"  poses {result.poses}  restarts {restarts}",
-                    flush=True,
-                )
+        folder = args.keep or Path(temporary)
+        rows = compare(range(args.first, args.first + args.seeds), folder, changes, variants)
     print("\n| | ATE, median of seeds | worst | scale error, median | worst | first pose, median |")
     print("|---|---|---|---|---|---|")
-    for variant in variants:
-        table = np.array(rows[variant])
-        table[:, 1] = abs(table[:, 1])
+    for variant, found in rows.items():
+        table = np.abs(found)
         median, worst = np.median(table, 0), table.max(0)
         print(
             f"| {variant} | {median[0]:.1f} mm | {worst[0]:.1f} mm | {median[1]:.2f} % | {worst[1]:.2f} % "

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
+from depth_room import EMBEDDED, VARIANTS
 from same import differences
 
 from vins_core import params as parameters
@@ -15,38 +17,19 @@ from vins_core.frontend.depth import gates
 from vins_core.io import modes
 from vins_core.io.calibration import read_calibration
 from vins_core.io.recording import open_recording
-from vins_core.io.write import calibration_path, write_recording
+from vins_core.io.write import calibration_path
 from vins_core.pipeline import step
 from vins_core.record.fork import fork, recorded_images
 from vins_core.record.recording import RunReader
 from vins_core.report import DEPTH_USES, DepthUse, Status
-from vins_core.runner import run_recording
-from vins_core.simulation.simulate import simulate
 from vins_core.whatif import recorded_tracks, resolve, without_map
 
-VARIANTS = ("trust", "confirm", "hold")
 USES = {use: i for i, use in enumerate(DEPTH_USES)}
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    simulation = simulate("depth_camera", 3, 2.4)
-    out = tmp_path_factory.mktemp("recording") / "room.bag"
-    return write_recording(simulation.messages(), out, "ros1", settings=simulation.settings)
-
-
-@pytest.fixture(scope="module")
-def runs(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, RunReader]:
-    folder = tmp_path_factory.mktemp("runs")
-    for variant in VARIANTS:
-        run_recording(
-            recording,
-            [calibration_path(recording)],
-            out=folder / variant,
-            settings=[f"depth.variant={variant}", "loop.enabled=0"],
-            embed_images=variant == "confirm",
-        )
-    return {variant: RunReader(folder / variant) for variant in VARIANTS}
+def runs(depth_runs: dict[str, Path]) -> dict[str, RunReader]:
+    return {variant: RunReader(folder) for variant, folder in depth_runs.items()}
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -91,16 +74,16 @@ def test_frames_repeat_from_any_state_to_the_bit(runs: dict[str, RunReader], var
     k = len(run) - 4
     state = run.state(k - 1)
     with recorded_images(run) as images:
-        assert (images is run) == (variant == "confirm")
+        assert (images is run) == (variant == EMBEDDED)
         for frame in range(k, k + 2):
             state, report, _ = step(run.header.params, run.header.calibration, images, state, run.packet(frame))
             assert differences(report, run.report(frame)) + differences(state, run.state(frame)) == []
 
 
-def test_embedded_depth_is_that_of_the_recording(runs: dict[str, RunReader], recording: Path) -> None:
-    run = runs["confirm"]
+def test_embedded_depth_is_that_of_the_recording(runs: dict[str, RunReader], depth_recording: Path) -> None:
+    run = runs[EMBEDDED]
     ref, sensor = run.packet(5).depth, run.header.calibration.cameras[0].depth
-    with open_recording(recording, run.header.calibration) as source:
+    with open_recording(depth_recording, run.header.calibration) as source:
         np.testing.assert_array_equal(run.load_depth(ref, sensor.scale_m), source.load_depth(ref, sensor.scale_m))
 
 
@@ -127,11 +110,23 @@ def test_a_fork_may_choose_another_variant_and_says_what_that_decides(
     assert difference.knob == "depth.variant" and difference.decision.startswith("depth")
 
 
-def test_an_unused_depth_camera_is_noted_and_a_missing_one_told(recording: Path) -> None:
-    with open_recording(recording) as source:
-        calibration = read_calibration([calibration_path(recording)], source).calibration
+def test_an_unused_depth_camera_is_noted_and_a_missing_one_told(depth_recording: Path) -> None:
+    with open_recording(depth_recording) as source:
+        calibration = read_calibration([calibration_path(depth_recording)], source).calibration
         assert modes.choose(source, calibration) == "rgbd_imu"
     mono, notes = modes.prepare(calibration, "mono_imu")
     assert mono.cameras[0].depth is None and any(n.startswith("depth of cam0: not used") for n in notes)
     with pytest.raises(CalibrationError, match="has no depth camera"):
         modes.prepare(mono, "rgbd_imu")
+
+
+@pytest.mark.slow
+def test_trusting_and_confirming_beat_one_camera_and_holding_comes_near(tmp_path: Path) -> None:
+    """Median of five seeds over the five seconds after the first pose of mono and IMU."""
+    benchmark = runpy.run_path(str(Path(__file__).parents[1] / "benchmarks" / "depth.py"))
+    found = np.array(list(benchmark["compare"](range(1, 6), tmp_path).values()))  # (variants, seeds, 3)
+    ate_mm, scale = found[:, :, 0], found[:, :, 1]
+    mono, trust, confirm, hold = np.median(ate_mm, 1)
+    assert max(trust, confirm) < mono and hold < 1.2 * mono
+    mono, trust, confirm, _ = np.median(np.abs(scale), 1)
+    assert max(trust, confirm) < mono
