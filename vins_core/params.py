@@ -291,6 +291,9 @@ class Online:
     translation_sigma_m: Annotated[
         float, Range(1e-4, 10), Doc("standard deviation of the given position of a camera, per axis", "m")
     ] = 0.05
+    unknown_sigma_m: Annotated[
+        float, Range(1e-4, 10), Doc("the same where no position is given and the search begins at zero", "m")
+    ] = 0.3
     min_speed: Annotated[
         float, Range(0, 10), Doc("calibration is held while the oldest frame of the window is slower", "m/s")
     ] = 0.2

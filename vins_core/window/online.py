@@ -39,7 +39,8 @@ def believe(online: params.Online, window: WindowState) -> WindowState:
         keys.append(BlockKey("td", 0))
         sigmas.append(np.array([online.td_sigma_s]))
     if window.calibrates.extrinsics:
-        sigma = np.repeat([online.translation_sigma_m, np.radians(online.rotation_sigma_deg)], 3)
+        sigma_m = online.translation_sigma_m if window.T_b_c[0, :3, 3].any() else online.unknown_sigma_m
+        sigma = np.repeat([sigma_m, np.radians(online.rotation_sigma_deg)], 3)
         keys += [BlockKey("extrinsic", camera) for camera in range(len(window.T_b_c))]
         sigmas += [sigma] * len(window.T_b_c)
     known = window.prior.blocks if window.prior else ()

@@ -180,6 +180,10 @@ def test_the_first_prior_believes_what_is_given_and_a_later_one_stays() -> None:
         sigma, [asked.td_sigma_s, *[asked.translation_sigma_m] * 3, *[np.radians(asked.rotation_sigma_deg)] * 3]
     )
     assert online.believe(PARAMS.online, believed) is believed
+    nowhere = window.T_b_c.copy()
+    nowhere[:, :3, 3] = 0.0
+    lost = online.believe(PARAMS.online, replace(window, T_b_c=nowhere)).prior
+    assert lost is not None and lost.J[1, 1] == 1 / asked.unknown_sigma_m
 
 
 def test_parameters_win_over_what_the_calibration_asks_for() -> None:
