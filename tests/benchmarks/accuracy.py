@@ -67,7 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recording", type=Path)
     parser.add_argument("--calib", type=Path, action="append", default=[])
-    parser.add_argument("--mode", default="mono_imu", choices=("mono_imu", "stereo_imu", "stereo"))
+    parser.add_argument("--mode", default="mono_imu", choices=("mono_imu", "stereo_imu", "stereo", "rgbd_imu"))
     parser.add_argument("--set", action="append", default=[], metavar="section.name=value")
     parser.add_argument("--start", type=float, action="append", default=[], help="further start times, s")
     parser.add_argument("--only", type=int, help="only the first N variants")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import zip_longest
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from ..io.anomalies import StampWatch
 from ..io.messages import ImuMessage
 from ..io.sync import FrequencyControl, ImuQueue
 from ..params import Frontend
-from ..sensors import Anomaly, GpsFix, ImageRef, Packet
+from ..sensors import Anomaly, DepthRef, GpsFix, ImageRef, Packet
 
 
 def regroup(packets: Iterable[Packet], params: Frontend, number: int, last_frame_ns: int | None) -> Iterator[Packet]:
@@ -24,6 +25,7 @@ def regroup(packets: Iterable[Packet], params: Frontend, number: int, last_frame
     if last_frame_ns is not None:
         control.is_due(last_frame_ns)
     images: list[ImageRef] = []
+    depths: list[DepthRef | None] = []
     anomalies: list[Anomaly] = []
     fixes: list[GpsFix] = []
     for packet in packets:
@@ -36,12 +38,13 @@ def regroup(packets: Iterable[Packet], params: Frontend, number: int, last_frame
         anomalies += packet.anomalies
         fixes += packet.gps
         inertial = len(packet.imu) > 0
-        for image, right in packet.pairs:
+        for (image, right), depth in zip_longest(packet.pairs, packet.depths):
             images += [image] if right is None else [image, right]
+            depths += [depth] if packet.depths else []
             t_imu_ns = image.t_ns + packet.late_ns
             if control.is_due(image.t_ns) and not (inertial and queue.in_gap(t_imu_ns)):
                 control.publish(image.t_ns)
                 imu = queue.cut(t_imu_ns) if inertial else packet.imu
                 arrived = tuple(f for f in fixes if f.t_ns <= t_imu_ns)
-                yield Packet(number, tuple(images), imu, tuple(anomalies), arrived)
-                number, images, anomalies, fixes = number + 1, [], [], fixes[len(arrived) :]
+                yield Packet(number, tuple(images), imu, tuple(anomalies), arrived, tuple(depths))
+                number, images, depths, anomalies, fixes = number + 1, [], [], [], fixes[len(arrived) :]

@@ -10,7 +10,7 @@ from vins_core.io.messages import ImuMessage
 from vins_core.io.sync import ImuQueue
 from vins_core.params import Frontend
 from vins_core.record.regroup import regroup
-from vins_core.sensors import Anomaly, GpsFix, ImageRef, Packet
+from vins_core.sensors import Anomaly, DepthRef, GpsFix, ImageRef, Packet
 
 MS = 1_000_000
 TD_S = 0.0037
@@ -49,6 +49,19 @@ def test_every_image_and_every_sample_is_kept_at_another_rate(freq: float) -> No
         np.testing.assert_allclose(after.imu.gyro_rad_s[:, 0], after.imu.t_ns * 1e-9, rtol=1e-12)
     told = [a for p in found for a in p.anomalies]
     assert told == [a for p in packets for a in p.anomalies][: len(told)]
+
+
+@pytest.mark.parametrize("freq", [5.0, 20.0])
+def test_depth_images_stay_with_their_images(freq: float) -> None:
+    """Every third image has none."""
+
+    def depth_of(image: ImageRef) -> DepthRef | None:
+        return None if image.index % 3 == 0 else DepthRef(image.t_ns + MS, 0, image.index)
+
+    packets = [replace(p, depths=tuple(depth_of(i) for i in p.images)) for p in recorded(every=2)]
+    found = list(regroup(packets, replace(Frontend(), freq=freq), 0, None))
+    assert len(found) > 10 and all(p.depths == tuple(depth_of(i) for i in p.images) for p in found)
+    assert all(p.depths == () for p in regroup(recorded(every=2), replace(Frontend(), freq=freq), 0, None))
 
 
 def test_the_clock_goes_on_at_the_frame_before() -> None:
