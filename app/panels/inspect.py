@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vins_core.report import FrameReport, LandmarkStatus, SolveReport, WindowReport
+from vins_core.report import RIGHT_LOSSES, FrameReport, LandmarkStatus, SolveReport, TrackReport, WindowReport
 
 from .. import views
 from ..context import PanelContext
@@ -119,7 +119,9 @@ def _track(ctx: PanelContext, id: int) -> Html:
     known: list[tuple[Html, Html]] = []
     if at is not None:
         u, v = report.tracks.uv_px[at]
-        known.append((tag("span", "pixel"), text((fixed(float(u), 1), ", ", fixed(float(v), 1), unit("px")))))
+        known.append((tag("span", "pixel"), _pixel(u, v)))
+        if len(report.tracks.right_loss):
+            known.append(_in_second_camera(report.tracks, at))
     if mark is not None:
         known += _landmark_facts(mark)
     if known:
@@ -132,6 +134,18 @@ def _track(ctx: PanelContext, id: int) -> Html:
     elif mark is not None and report.solve is not None:
         parts.append(muted("It has no residual in this solve."))
     return text(parts)
+
+
+def _pixel(u: float, v: float) -> Html:
+    return text((fixed(float(u), 1), ", ", fixed(float(v), 1), unit("px")))
+
+
+def _in_second_camera(tracks: TrackReport, at: int) -> tuple[Html, Html]:
+    """Where the second camera sees a track, or why it does not."""
+    loss, name = int(tracks.right_loss[at]), term("right image", "stereo.match")
+    if loss >= len(RIGHT_LOSSES):
+        return name, _pixel(*tracks.right_uv_px[at])
+    return name, term(str(RIGHT_LOSSES[loss]), f"right.{RIGHT_LOSSES[loss]}")
 
 
 def _ending(ctx: PanelContext, id: int) -> Html:

@@ -10,7 +10,7 @@ from fake_reports import Markup, context, parse, shared_view
 from stereo_run import stereo_run
 
 from app.context import PanelContext, RunView, Selection
-from app.panels import stereo
+from app.panels import inspect, stereo
 from app.scene.frame import SceneFrame
 from app.stereo import MATCHED, StereoPicture, stereo_picture
 from vins_core.record.recording import RunReader
@@ -34,6 +34,10 @@ def picture_of(run: RunView, report: FrameReport) -> StereoPicture:
 
 
 def page(run: RunView, report: FrameReport, **changes: object) -> Markup:
+    return parse(stereo.render(context_of(run, report, **changes)))
+
+
+def context_of(run: RunView, report: FrameReport, **changes: object) -> PanelContext:
     model = run.header.calibration.cameras[0].model
     plain = {
         "run": run,
@@ -47,7 +51,7 @@ def page(run: RunView, report: FrameReport, **changes: object) -> Markup:
         "width": model.width,
         "height": model.height,
     }
-    return parse(stereo.render(PanelContext(**{**plain, **changes})))
+    return PanelContext(**{**plain, **changes})
 
 
 def groups(markup: Markup) -> dict[int, object]:
@@ -119,6 +123,17 @@ def test_the_selected_track_comes_last_and_has_its_gate(run: RunView, report: Fr
     assert int(drawn[-1].attributes["data-pair"]) == id and "vi-picked" in drawn[-1].attributes["class"]
     gates = [e.attributes["data-gate"] for e in markup.all() if "data-gate" in e.attributes]
     assert gates == ["stereo matches", "epipolar distance"]
+
+
+def test_inspect_says_where_the_second_camera_sees_the_selected_track_or_why_not(
+    run: RunView, report: FrameReport
+) -> None:
+    loss = report.tracks.right_loss.copy()
+    loss[0] = RIGHT_LOSSES.index(RightLoss.FLOW_BACK)
+    changed, matched = replace(report, tracks=replace(report.tracks, right_loss=loss)), np.flatnonzero(loss == MATCHED)
+    for row, expected in ((0, "flow-back"), (matched[0], f"{report.tracks.right_uv_px[matched[0]][0]:.1f}")):
+        id = int(report.tracks.ids[row])
+        assert expected in str(inspect.render(context_of(run, changed, selection=Selection("track", id))))
 
 
 def test_a_missing_right_image_is_told(run: RunView, report: FrameReport) -> None:
