@@ -185,7 +185,7 @@ class Init:
     ] = 0.05
     hand_eye_max_sigma_deg: Annotated[
         float, Range(0.01, 180), Doc("standard deviation of the rotation about its worst axis (parity: 180)", "deg")
-    ] = 0.35
+    ] = 0.3
     hand_eye_max_misfit: Annotated[
         float, Range(0.1, 1000), Doc("rms by which camera and gyroscope still turn apart (parity: 1000)", "sigma")
     ] = 2.0
