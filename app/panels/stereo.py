@@ -140,7 +140,7 @@ def _steps(ctx: PanelContext, picture: StereoPicture) -> Html:
         return text("")
     for name, loss, knob, px in STEPS:
         left -= picture.count(loss)
-        behind = muted("flow found no minimum") if not knob else _limit(ctx, knob, px)
+        behind = muted("optical flow converges") if not knob else _limit(ctx, knob, px)
         rows.append(
             tag("tr", tag("td", right_mark(loss), " ", term(name, f"right.{loss}")),
                 tag("td", strong(left), cls="vi-n"), tag("td", behind), data_step=str(loss), data_left=left)
