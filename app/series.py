@@ -60,8 +60,8 @@ class RunSeries:
     t_s: np.ndarray  # seconds since the first frame
     keyframe: np.ndarray  # bool: this frame was kept as a keyframe (decided one frame later)
     status: tuple[Status, ...]
-    before: np.ndarray  # (n, 3) robust cost before the solve: visual, IMU, prior
-    cost: np.ndarray  # (n, 3) after the solve
+    before: np.ndarray  # (n, 4) robust cost before the solve: visual, IMU, prior, depth
+    cost: np.ndarray  # (n, 4) after the solve
     iterations: np.ndarray  # int
     tracks: np.ndarray  # int, alive
     new: np.ndarray  # int
@@ -189,7 +189,7 @@ def _loops(summaries: Sequence[FrameSummary]) -> LoopSeries:
 
 
 def _costs(splits: list[CostSplit | None]) -> np.ndarray:
-    return _stack([np.array([s.visual, s.imu, s.prior]) if s else None for s in splits], 3)
+    return _stack([np.array([s.visual, s.imu, s.prior, s.depth]) if s else None for s in splits], 4)
 
 
 def _stack(rows: Sequence[np.ndarray | None], width: int) -> np.ndarray:

@@ -49,7 +49,8 @@ def _print(found: Comparison) -> None:
 def _numbers(a: Metrics, b: Metrics) -> Iterator[tuple[str, object, object]]:
     for name in ("frames", "poses", "keyframes", "restarts", "landmarks"):
         yield name, getattr(a, name), getattr(b, name)
-    for kind in ("visual", "imu", "prior"):
+    measured = any(m.cost and m.cost.depth for m in (a, b))
+    for kind in ("visual", "imu", "prior", *(("depth",) if measured else ())):
         yield f"mean {kind} cost", a.cost and getattr(a.cost, kind), b.cost and getattr(b.cost, kind)
     yield "ms per frame", a.ms, b.ms
     for name, label in (("accuracy", ""), ("accuracy_common", " over common poses")):

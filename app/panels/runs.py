@@ -218,11 +218,14 @@ def _measures(a: Metrics, b: Metrics) -> Iterator[tuple[Child, str, float | None
 
     common = [m.accuracy_common.ate_rmse_m if m.accuracy_common else None for m in (a, b)]
     own = [m.accuracy.ate_rmse_m if m.accuracy else None for m in (a, b)]
-    costs = [(m.cost.total, m.cost.visual, m.cost.imu, m.cost.prior) if m.cost else (None,) * 4 for m in (a, b)]
+    costs = [
+        (m.cost.total, m.cost.visual, m.cost.imu, m.cost.prior, m.cost.depth or None) if m.cost else (None,) * 5
+        for m in (a, b)
+    ]
     yield text(("ATE, shared poses", unit("cm"))), "ate", centimetres(common[0]), centimetres(common[1])
     yield text(("ATE, own poses", unit("cm"))), "ate", centimetres(own[0]), centimetres(own[1])
-    names = ("mean cost", "visual", "IMU", "prior")
-    yield from zip(names, ("cost", "cost.visual", "cost.imu", "cost.prior"), *costs)
+    names = ("mean cost", "visual", "IMU", "prior", "depth")
+    yield from zip(names, ("cost", "cost.visual", "cost.imu", "cost.prior", "cost.depth"), *costs)
     yield "poses", "", a.poses, b.poses
     yield "keyframes", "keyframe", a.keyframes, b.keyframes
     yield "landmarks a frame", "", a.landmarks, b.landmarks

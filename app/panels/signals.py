@@ -43,12 +43,18 @@ def _norm(rows: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rows, axis=1)
 
 
+def _unless_zero(values: np.ndarray) -> np.ndarray:
+    """Nothing where there is never any."""
+    return values if np.nansum(values) > 0 else np.full(len(values), np.nan)
+
+
 SIGNALS = (
     Signal("ate", "ATE", "ate", ESTIMATE, lambda s: 100 * s.ate_m, "cm"),
     Signal("cost", "total cost", "cost", PLAIN, lambda s: s.cost.sum(1)),
     Signal("visual", "visual cost", "cost.visual", FACTOR_COLOURS["visual"], lambda s: s.cost[:, 0]),
     Signal("imu", "IMU cost", "cost.imu", IMU, lambda s: s.cost[:, 1]),
     Signal("prior", "prior cost", "cost.prior", PRIOR, lambda s: s.cost[:, 2]),
+    Signal("depth", "depth cost", "cost.depth", FACTOR_COLOURS["depth"], lambda s: _unless_zero(s.cost[:, 3])),
     Signal("tracks", "tracks", "tracks", PLAIN, lambda s: s.tracks.astype(float)),
     Signal("parallax", "parallax", "parallax", PLAIN, lambda s: s.parallax_px, "px460", "window.keyframe_parallax"),
     Signal("solve", "solve", "ms", PLAIN, lambda s: s.ms.get("solve", np.full(len(s), np.nan)), "ms"),

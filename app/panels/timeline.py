@@ -116,12 +116,11 @@ _EVENT_WIDTHS = {"attempt": 2.0, "initialized": 4.0, "restart": 4.0, "anomaly": 
 
 
 def _costs(series: RunSeries, height: int) -> Html:
-    """The three costs stacked."""
+    """The costs stacked."""
     levels = np.concatenate([np.zeros((len(series), 1)), np.cumsum(series.cost, 1)], 1)
     top = top_of(levels[:, -1])
-    return text(
-        area(levels[:, k], levels[:, k + 1], top, height, FACTOR_COLOURS[name]) for k, name in enumerate(views.FACTORS)
-    )
+    names = (*views.FACTORS, "depth") if np.nansum(series.cost[:, 3]) > 0 else views.FACTORS
+    return text(area(levels[:, k], levels[:, k + 1], top, height, FACTOR_COLOURS[name]) for k, name in enumerate(names))
 
 
 def _bands(series: RunSeries, height: int) -> Html:

@@ -14,7 +14,7 @@ from fake_reports import Markup, context, parse, shared_view
 
 from app.context import PanelContext, RunView
 from app.images import Images
-from app.panels import depth
+from app.panels import depth, signals
 from app.runs import image_source
 from app.tooltips import TIPS, gate_tip
 from app.widgets.depth_plot import histogram, scatter
@@ -117,6 +117,16 @@ def test_every_word_and_gate_on_the_panel_is_explained(views: dict[str, RunView]
     assert all(gate_tip(gate) in TIPS for gate in report.depth.gates)
     assert all(f"depth.loss.{loss}" in TIPS for loss in DEPTH_LOSSES)
     assert all(f"depth.use.{use}" in TIPS for use in DEPTH_USES)
+
+
+@pytest.mark.parametrize("variant", ["trust", "hold"])
+def test_what_depth_costs_is_a_signal_where_there_is_any(views: dict[str, RunView], variant: str) -> None:
+    run = views[variant]
+    keys = {signal.key for signal, _ in signals.present(context(len(run) - 1, run=run))}
+    assert ("depth" in keys) == (variant == "trust")
+    total = run.series.cost[-1].sum()
+    assert total == pytest.approx(run.report(len(run) - 1).solve.after.total)
+    assert not {"depth"} & {signal.key for signal, _ in signals.present(context(20))}
 
 
 def test_depths_that_agree_lie_on_the_line() -> None:

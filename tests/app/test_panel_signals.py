@@ -13,11 +13,11 @@ def shown(**changes):
             if "data-signal" in e.attributes]  # fmt: skip
 
 
-OF_OTHERS = {"drift.graph", "drift.fast", "drift.apart", "gps.sigma", "gps.outage"}
+OF_OTHERS = {"depth", "drift.graph", "drift.fast", "drift.apart", "gps.sigma", "gps.outage"}
 
 
 def test_every_quantity_has_its_strip():
-    expected = [s.key for s in signals.SIGNALS if s.key not in OF_OTHERS]  # without loops and fixes
+    expected = [s.key for s in signals.SIGNALS if s.key not in OF_OTHERS]  # without loops, fixes and depth
     assert shown() == expected
     assert len(parse(signals.backdrop(context(30))).all(cls="vi-strip")) == len(expected)
 
