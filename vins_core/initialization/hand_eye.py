@@ -231,6 +231,11 @@ def _outcome(report: HandEyeReport) -> str:
             return "many frames disagree on the rotation between camera and IMU: avoid what moves in the image"
         if failed == {"rotation_halves"}:
             return "earlier and later frames disagree on the rotation between camera and IMU: keep rotating the device"
+    if failed == {"singular_value"}:
+        return (
+            f"turning about two axes amounts to a singular value of only {value['singular_value']:.2f}: keep rotating "
+            "the device about two axes"
+        )
     if second is None or sigma is None:
         return "the rotation between camera and IMU is not known yet: rotate the device about two axes"
     known = f"to {sigma:.2f} deg" if sigma < 30.0 else "not at all"
