@@ -16,6 +16,7 @@ from vins_core.io.own_yaml import write
 from vins_core.io.write import write_recording
 from vins_core.record.fork import fork
 from vins_core.record.recording import RunReader
+from vins_core.record.reevaluate import GateHistory
 from vins_core.runner import run_recording
 from vins_core.simulation.scenarios import SCENARIOS
 from vins_core.simulation.simulate import Simulation, build
@@ -89,6 +90,23 @@ def test_a_fork_may_stop_calibrating_and_a_fork_of_that_begin_again(found: RunRe
     last = RunReader(tmp_path / "on").summaries[-1].calibration
     assert last is not None and not last.td_gates and np.isfinite(last.extrinsic_sigma).all()
     assert not np.array_equal(last.T_b_c, before.T_b_c)
+
+
+def test_a_higher_speed_would_have_held_it_longer_and_that_is_told_from_the_record(found: RunReader) -> None:
+    history = GateHistory()
+    history.follow(found)
+    answer = history.reevaluate({"online.min_speed": 0.6})
+    assert answer.unanswered == ()
+    held_longer = {d.name: d.lost for d in answer.derived}
+    assert set(held_longer) == {"td passes", "extrinsics passes"}
+    speeds = {
+        s.frame: gate.value
+        for s in found.summaries
+        if s.calibration
+        for gate in s.calibration.td_gates
+        if gate.knob == "online.min_speed"
+    }
+    assert held_longer["td passes"].tolist() == [k for k, v in speeds.items() if 0.2 <= v < 0.6]
 
 
 @pytest.mark.slow

@@ -101,6 +101,9 @@ def decisions(report: FrameReport, params: Params) -> Iterator[Decision]:
         yield Decision("solve", "loops in the window", again, knob="loop.relocalize")
     if report.depth:
         yield from _depths(report.depth)
+    if report.calibration:
+        yield Decision("solve", "td", *_verdict(report.calibration.td_gates), knob="online.td")
+        yield Decision("solve", "extrinsics", *_verdict(report.calibration.extrinsic_gates), knob="online.extrinsics")
     if report.solve:
         yield from _solve(report.solve, params)
     if report.landmarks and report.solve:

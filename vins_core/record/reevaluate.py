@@ -222,6 +222,9 @@ def _gates(report: FrameReport, params: Params) -> Iterator[tuple[str, str, Gate
         yield from (("initialization", stage.name, g) for g in stage.gates)
     for gates in step_gates(report.solve, params) if report.solve else ():
         yield from (("solve", "step", g) for g in gates)
+    if report.calibration:
+        yield from (("solve", "td", g) for g in report.calibration.td_gates)
+        yield from (("solve", "extrinsics", g) for g in report.calibration.extrinsic_gates)
     if report.health:
         yield from (("health", "health", g) for g in report.health.gates)
     if report.gps:

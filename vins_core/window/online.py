@@ -95,7 +95,7 @@ def release(settings: params.Params, window: WindowState) -> Release:
         return Release()
     speed = float(np.linalg.norm(window.frames[0].v_w_b))
     moving = Gate("speed of the oldest frame", speed, ">=", settings.online.min_speed, "online.min_speed", "m/s")
-    full = Gate("frames in the window", len(window.frames), ">=", settings.window.size + 1, "window.size")
+    full = Gate("frames before the newest", len(window.frames) - 1, ">=", settings.window.size, "window.size")
     return Release((moving,) if wish.td else (), (full, moving) if wish.extrinsics else ())
 
 
