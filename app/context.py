@@ -44,7 +44,7 @@ from .series import RunSeries, run_series
 if TYPE_CHECKING:
     from vins_core.fusion.conclusion import FinalTrack
     from vins_core.mapping.study import LoopStudy
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
     from vins_core.record.reevaluate import GateHistory
 
     from .comparison import OtherRun

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from vins_core.errors import RecordingError
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.sensors import DepthCalibration, DepthRef, DepthSource, ImageRef
 
 CACHE_BYTES = 128 * 1024 * 1024

@@ -18,7 +18,7 @@ from vins_core.mapping.counterfactual import Prediction, Remedy
 from vins_core.mapping.funnel import FunnelStage
 from vins_core.mapping.study import LoopRow, LoopStudy
 from vins_core.mapping.truth import Place, Truth
-from vins_core.record.recording import MAP
+from vins_core.record.folder import MAP
 from vins_core.report import LOOP_OUTCOMES, LoopCandidate, LoopOutcome, LoopReport
 
 from .context import RunView, Selection

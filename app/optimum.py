@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from vins_core.errors import RunError, VinspectError
 from vins_core.examine import solved_window
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.solver.ipopt import Comparison, compare_optimum
 from vins_core.solver.trust_region import rules
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vins_core import examine
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import BlockReport
 
 from .context import RunView

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from vins_core.errors import VinspectError
 from vins_core.io.recording import open_recording
-from vins_core.record.recording import RunReader, is_run
+from vins_core.record.folder import is_run
+from vins_core.record.reader import RunReader
 
 from .context import RunView
 from .images import EmbeddedImages, ImageBytes, Images, NoImages

@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 
 from vins_core.errors import VinspectError
+from vins_core.record.folder import is_run
 from vins_core.record.header import Parent
-from vins_core.record.recording import is_run
 
 from .context import RunView
 from .notes import MAX_NAME, RunNotes, read_notes, write_notes

@@ -49,7 +49,7 @@ def run_fork(
 ) -> None:
     """Repeat the run in `run` with `changes` from frame `at` on; without the first three, an `Estimate`."""
     from vins_core.record.fork import fork
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     with RunReader(run) as parent:
         fork(parent, at, out, changes, frames, cancelled=cancelled)

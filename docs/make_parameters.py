@@ -1,4 +1,4 @@
-"""Writes parameters.md from the declarations in vins_core/params.py.
+"""Writes parameters.md from the declarations in vins_core/params/.
 
 python docs/make_parameters.py
 """
@@ -16,7 +16,7 @@ PAGE = Path(__file__).parent / "parameters.md"
 INTRODUCTION = """\
 # Parameters
 
-Made from `vins_core/params.py` by `python docs/make_parameters.py`; change it there.
+Made from `vins_core/params/` by `python docs/make_parameters.py`; change it there.
 
 A parameter is set on the command line (`--set window.max_iterations=12`), in a file (`--params FILE`, as the What-if
 panel saves it), or by a config's own keys (see [configs.md](configs.md)); the first of these wins. In the browser each

@@ -18,7 +18,7 @@ import numpy as np
 from .params import Params
 from .pipeline import Arrival, receive
 from .record.fork import state_before
-from .record.recording import RunReader
+from .record.reader import RunReader
 from .solver.covariance import Covariances, covariances
 from .solver.ipopt import Comparison, compare_optimum
 from .solver.problem import hold_oldest

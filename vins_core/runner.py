@@ -22,8 +22,8 @@ from .params import Params
 from .pipeline import start
 from .process import prepare
 from .record.header import RunHeader
-from .record.recording import RunWriter
 from .record.replay import Progress, Result, estimate
+from .record.writer import RunWriter
 from .sensors import Calibration
 from .solver import backend as backends
 from .solver.backend import Wish

@@ -17,7 +17,7 @@ from .params import Params
 from .pipeline import advance, step
 from .record.compare import Difference, differing_decision
 from .record.fork import recorded_images, state_before
-from .record.recording import RunReader
+from .record.reader import RunReader
 from .report import CostSplit, FrameReport, Timings, TrackReport
 from .sensors import ImageSource
 from .solver import backend

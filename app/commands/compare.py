@@ -18,7 +18,7 @@ Run2 = Positional[Annotated[Path, arg(metavar="RUN2", help="another run, or a fo
 def compare(run: Run, run2: Run2, /, json: Json = False) -> None:
     """Show what two runs were given, what came of it, and the first decision that differs."""
     from vins_core.record.compare import compare
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     with RunReader(run) as first, RunReader(run2) as second, progress_bar("comparing") as report:
         found = compare(first, second, report)

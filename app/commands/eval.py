@@ -12,7 +12,7 @@ from .console import note, print_json
 if TYPE_CHECKING:
     import numpy as np
 
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
     from vins_core.sensors import Trajectory
 
 LABELS = {
@@ -39,7 +39,7 @@ def evaluate(
     from dataclasses import asdict
 
     from vins_core.evaluation.evaluate import evaluate
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     with RunReader(run) as reader:
         first_image_ns = reader.report(0).images[0].t_ns if len(reader) else None

@@ -18,7 +18,7 @@ def export(
     """Write the poses of a run."""
     from vins_core.errors import RunError
     from vins_core.io.trajectory import write_tum
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     with RunReader(run) as reader:
         poses = trajectory_of(reader, trajectory)

@@ -26,7 +26,7 @@ def fork(
     from vins_core.io.params_yaml import read_params
     from vins_core.params import parse_assignment
     from vins_core.record.fork import fork
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     changes = read_params(params) if params else {}
     changes |= dict(parse_assignment(text) for text in settings)

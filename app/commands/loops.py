@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def loops(run: Run, /, json: Json = False) -> None:
     """Show how far every keyframe came on its way to a loop, and which gates decided."""
     from vins_core.mapping.study import LoopStudy
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     with RunReader(run) as reader, progress_bar("looking into loops") as report:
         study = LoopStudy(reader)

@@ -18,7 +18,7 @@ AnotherSession = Positional[Annotated[Path | None, arg(metavar="RECORDING", help
 def save(run: Run, map: Map, /) -> None:
     """Save the map of a run: keyframes, loops, and what recognises its places."""
     from vins_core.mapping.conclusion import save_map
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
 
     with RunReader(run) as reader:
         graph = save_map(reader, map)

@@ -13,7 +13,7 @@ from app.context import RunView
 from app.html import fixed
 from app.panels import calibration
 from app.tooltips import TIPS, gate_tip
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,8 @@ from app.commands.simulate import NAMES
 from vins_core.errors import RunError
 from vins_core.io.trajectory import read_trajectory
 from vins_core.params import DECLARATIONS
-from vins_core.record.recording import RunReader, RunWriter
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import RunWriter
 from vins_core.simulation.scenarios import SCENARIOS
 
 POSES, EVAL_KEYS = (

@@ -12,7 +12,7 @@ from app.__main__ import main
 from vins_core.fusion.conclusion import final_track
 from vins_core.io.trajectory import read_trajectory
 from vins_core.io.write import calibration_path
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 
 def evaluated(run: Path, trajectory: str, capsys: pytest.CaptureFixture[str]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from sample import CALIBRATION, RECORDING
 
 from app.__main__ import main
 from vins_core.io.trajectory import read_trajectory
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from sample import CALIBRATION, RECORDING, sample_run
 
 from app.__main__ import main
 from vins_core.errors import RunError
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 __all__ = ["sample_run"]
 

@@ -18,7 +18,7 @@ from app.panels import depth, signals
 from app.runs import image_source
 from app.tooltips import TIPS, gate_tip
 from app.widgets.depth_plot import histogram, scatter
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import DEPTH_LOSSES, DEPTH_USES, DepthLoss, DepthUse
 
 

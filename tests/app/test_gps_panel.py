@@ -16,7 +16,7 @@ from app.scene.frame import SceneFrame
 from app.scene.gps import ellipsoid, final, fixes
 from app.tooltips import TIPS, gate_tip
 from app.widgets.gps_map import Ground
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import FixRevision, FixVerdict, GpsStatus
 
 USED, GATED, OPEN = (VERDICTS.index(v) for v in (FixVerdict.USED, FixVerdict.GATED, FixVerdict.OPEN))

@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 from app.runs import open_path
 from app.server import Server
 from vins_core.geometry import so3
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.sensors import Anomaly
 
 pytestmark = pytest.mark.browser

@@ -24,7 +24,7 @@ from app.panels import pose_graph
 from app.tooltips import TIPS
 from vins_core import params as parameters
 from vins_core.mapping.truth import Place
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import MATCH_STAGES, Gate, LoopOutcome, MatchStage
 
 T = TypeVar("T")

@@ -19,7 +19,7 @@ from app.html import number
 from app.panels import camera, what_if
 from app.views import track_changes
 from vins_core.errors import ParameterError
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 FRAME = 25
 

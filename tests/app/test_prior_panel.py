@@ -15,7 +15,7 @@ from app.panels import prior as panel
 from app.prior import FREE, departure_view, prior_view
 from app.widgets.matrix import MatrixBlock, colours, heat_map, log_range
 from vins_core.geometry import so3
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.solver.spectrum import GAUGE
 from vins_core.window.state import Prior
 

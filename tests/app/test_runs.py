@@ -15,7 +15,7 @@ from app.images import Images
 from app.runs import OpenRun, open_path
 from app.worker import Job, new_run_folder
 from vins_core.errors import RecordingError, VinspectError
-from vins_core.record.recording import RunWriter
+from vins_core.record.writer import RunWriter
 from vins_core.sensors import ImageRef
 
 

@@ -16,7 +16,7 @@ from app.pairs import PairView, Wish
 from app.scene.frame import SceneFrame, scene_unit
 from app.scene.loops import LoopLayer, accepted, chosen, refused, seen_again, sessions
 from vins_core.mapping.study import LoopRow
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import LoopCandidate, LoopOutcome, LoopReport
 
 N = 8

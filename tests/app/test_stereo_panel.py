@@ -13,7 +13,7 @@ from app.context import PanelContext, RunView, Selection
 from app.panels import inspect, stereo
 from app.scene.frame import SceneFrame
 from app.stereo import MATCHED, StereoPicture, stereo_picture
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import RIGHT_LOSSES, FrameReport, RightLoss
 
 

@@ -20,7 +20,7 @@ from app.store import RunStore
 from app.worker import KEEP_RUNS, cache_folder, new_run_folder
 from vins_core.record.compare import compare
 from vins_core.record.header import Parent
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 EVIL = """<img src=x onerror="alert('1')">'"`</div>"""
 

@@ -16,7 +16,7 @@ from app.uncertainty import uncertainty
 from vins_core import examine
 from vins_core.errors import RunError
 from vins_core.geometry import so3
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 FRAME = 28
 

@@ -14,7 +14,7 @@ from app.runs import open_path
 from app.server import Server
 from vins_core.io.params_yaml import read_params
 from vins_core.params import DECLARATIONS
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 pytestmark = pytest.mark.browser
 FRAME = 25

@@ -17,7 +17,7 @@ import numpy as np
 from vins_core.evaluation.evaluate import evaluate, run_trajectory
 from vins_core.io.own_yaml import write
 from vins_core.io.write import write_recording
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 from vins_core.simulation.scenarios import SCENARIOS
 from vins_core.simulation.simulate import Simulation, build

@@ -37,7 +37,7 @@ from vins_core.loop.match import match
 from vins_core.loop.train import TRAINING_CORNERS, train, train_on_images, training_images
 from vins_core.params import Frontend, Loop, Params
 from vins_core.process import prepare
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import LoopReport
 from vins_core.sensors import Trajectory
 from vins_core.solver.covariance import relative_poses

@@ -27,7 +27,7 @@ from vins_core.loop.relocalize import RelocalisationRequest, recheck, request
 from vins_core.params import Params
 from vins_core.pipeline import receive
 from vins_core.process import prepare
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import LoopCandidate, RelocalizationReport, Timings, all_pass
 from vins_core.solver import backend
 from vins_core.whatif import recorded_tracks

@@ -66,7 +66,7 @@ def main() -> None:
     args = parser.parse_args()
 
     from vins_core import clock
-    from vins_core.record.recording import RunReader
+    from vins_core.record.reader import RunReader
     from vins_core.runner import run_recording
 
     if args.processor:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import record_samples as samples
 
-from vins_core.record.recording import RunReader, RunWriter
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import RunWriter
 
 FRAMES = 60
 

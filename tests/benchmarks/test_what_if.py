@@ -19,7 +19,7 @@ from vins_core import params as parameters
 from vins_core.process import prepare
 from vins_core.record.compare import compare
 from vins_core.record.fork import fork, recorded_images
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.record.reevaluate import GateHistory
 from vins_core.runner import run_recording
 from vins_core.sensors import ImageSource

@@ -19,7 +19,7 @@ from vins_core.geometry import se3, so3
 from vins_core.geometry.pinhole_radtan import PinholeRadtan
 from vins_core.params import Params
 from vins_core.record.header import RunHeader
-from vins_core.record.recording import RunWriter
+from vins_core.record.writer import RunWriter
 from vins_core.report import (
     LANDMARK_STATUSES,
     LOSS_REASONS,

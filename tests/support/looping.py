@@ -16,7 +16,7 @@ from vins_core.mapping.closure import begin, close, interrupt
 from vins_core.mapping.places import Places
 from vins_core.params import Params
 from vins_core.record.fork import recorded_images
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import ClosureReport, FrameReport, LoopReport, Status
 from vins_core.runner import run_recording
 from vins_core.sensors import ImageRef

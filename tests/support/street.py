@@ -10,7 +10,7 @@ import pytest
 
 from vins_core.fusion.geodesy import EnuFrame
 from vins_core.io.write import calibration_path, write_recording
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import FixVerdict
 from vins_core.runner import run_recording
 from vins_core.sensors import Trajectory

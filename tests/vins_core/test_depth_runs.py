@@ -20,7 +20,7 @@ from vins_core.io.recording import open_recording
 from vins_core.io.write import calibration_path
 from vins_core.pipeline import step
 from vins_core.record.fork import fork, recorded_images
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import DEPTH_USES, DepthUse, Status
 from vins_core.whatif import recorded_tracks, resolve, without_map
 

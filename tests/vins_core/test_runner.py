@@ -6,7 +6,8 @@ import pytest
 
 from vins_core.errors import CalibrationError, OutputError, ParameterError, RecordingError
 from vins_core.io.write import calibration_path, write_recording
-from vins_core.record.recording import INTERRUPTED, RunReader
+from vins_core.record.folder import INTERRUPTED
+from vins_core.record.reader import RunReader
 from vins_core.runner import Progress, choose_parameters, run_recording
 from vins_core.simulation.simulate import simulate
 

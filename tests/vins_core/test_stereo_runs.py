@@ -14,7 +14,7 @@ from vins_core.io.modes import Mode
 from vins_core.io.write import calibration_path, write_recording
 from vins_core.pipeline import step
 from vins_core.record.fork import recorded_images
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import Status
 from vins_core.runner import run_recording
 from vins_core.sensors import Trajectory

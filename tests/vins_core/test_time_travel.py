@@ -14,7 +14,8 @@ from sample import CALIBRATION, RECORDING
 from vins_core.pipeline import step
 from vins_core.record.codec import pack
 from vins_core.record.fork import recorded_images, state_before
-from vins_core.record.recording import RunReader, state_sections
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import state_sections
 from vins_core.runner import run_recording
 
 

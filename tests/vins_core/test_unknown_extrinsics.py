@@ -17,7 +17,7 @@ from vins_core.io.recording import open_recording
 from vins_core.io.write import write_recording
 from vins_core.pipeline import step
 from vins_core.record.fork import recorded_images, state_before
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import Status
 from vins_core.runner import run_recording
 from vins_core.simulation.scenarios import SCENARIOS

@@ -12,9 +12,10 @@ from sample import INITIALISED
 from vins_core import params as parameters
 from vins_core.errors import RecordingError, RunError
 from vins_core.params import Params
+from vins_core.record.folder import HEADER
 from vins_core.record.fork import fork, recorded_images
 from vins_core.record.header import to_json
-from vins_core.record.recording import HEADER, RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import Status
 from vins_core.whatif import WhatIf, effect, needs_frontend, recorded_tracks, resolve, without_map
 

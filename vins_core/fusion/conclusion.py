@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import RunError
 from ..record.header import RunHeader
-from ..record.recording import RunReader
+from ..record.reader import RunReader
 from ..report import FixVerdict, FrameSummary
 from ..sensors import Calibration, GpsFix, Trajectory
 from .available import antenna, settings_of, time_of

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import RunError
 from ..pose_graph.graph import PoseGraph
-from ..record.recording import RunReader
+from ..record.reader import RunReader
 from ..sensors import Trajectory
 from . import maps
 from .closure import conclude

@@ -18,7 +18,7 @@ from ..loop.keyframe import Keyframes
 from ..loop.step import LoopState, Retrieved, neighbour_score, retrieve
 from ..loop.verify import Pair, verify
 from ..params import Loop
-from ..record.recording import RunReader
+from ..record.reader import RunReader
 from ..report import Gate, LoopCandidate, LoopOutcome, LoopReport
 from .counterfactual import VALUES
 

@@ -19,8 +19,8 @@ from ..loop import rejudge
 from ..loop.keyframe import LoopKeyframe
 from ..loop.step import detect_again, examine
 from ..params import DECLARATIONS, Loop, Params
+from ..record.reader import RunReader
 from ..record.recent import Recent
-from ..record.recording import RunReader
 from ..report import Gate, LoopOutcome, LoopReport
 from . import counterfactual, thinning
 from .counterfactual import UNANSWERED, Judgement, Prediction, Remedy, judge_run

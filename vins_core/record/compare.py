@@ -22,7 +22,7 @@ from ..sensors import Trajectory
 from . import header as headers
 from .decisions import STAGES, Decision, decisions
 from .header import Parent
-from .recording import RunReader
+from .reader import RunReader
 
 MAX_DT_S = 0.006
 """A pose and its truth are at most this far apart."""

@@ -27,9 +27,10 @@ from ..sensors import ImageSource, Packet
 from ..solver import backend as backends
 from ..solver.backend import Wish
 from .header import Parent, RunHeader, cpu_model, package_versions
-from .recording import RunReader, RunWriter
+from .reader import RunReader
 from .regroup import regroup
 from .replay import Progress, Result, estimate
+from .writer import RunWriter
 
 
 def fork(

@@ -8,7 +8,7 @@ from ..geometry import poses
 from ..report import PoseEstimate
 from ..sensors import Trajectory
 from ..window.imu_rate import carry_on, moved_estimate
-from .recording import RunReader
+from .reader import RunReader
 
 
 def imu_rate_trajectory(run: RunReader) -> Trajectory:

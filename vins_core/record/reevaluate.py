@@ -17,7 +17,7 @@ from .. import params as parameters
 from ..params import Params
 from ..report import FrameReport, Gate, SolveReport
 from .decisions import step_gates
-from .recording import RunReader
+from .reader import RunReader
 
 GIVEN = "given the recorded trajectory"
 """What every result of `reevaluate` must be labelled with."""

@@ -14,8 +14,10 @@ from ..mapping.places import Places
 from ..pipeline import RunState, step
 from ..report import FrameSummary, Timings, summarize
 from ..sensors import DepthRef, DepthSource, ImageRef, ImageSource, Packet
+from .folder import FINISHED, INTERRUPTED
 from .header import RunHeader
-from .recording import FINISHED, INTERRUPTED, RunReader, RunWriter
+from .reader import RunReader
+from .writer import RunWriter
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from vins_core.io.write import calibration_path
 from vins_core.pipeline import step
 from vins_core.record.compare import compare
 from vins_core.record.fork import fork, recorded_images
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.record.reevaluate import GateHistory
 from vins_core.report import FixVerdict, GpsStatus, Status
 from vins_core.runner import run_recording

@@ -13,7 +13,7 @@ from vins_core.evaluation.evaluate import evaluate, run_trajectory
 from vins_core.fusion.conclusion import final_track, global_trajectory
 from vins_core.io.modes import Mode
 from vins_core.io.write import calibration_path, write_recording
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import FixVerdict, GpsStatus
 from vins_core.runner import run_recording
 from vins_core.simulation.simulate import Simulation, simulate

@@ -18,7 +18,7 @@ from vins_core.mapping.counterfactual import Prediction
 from vins_core.mapping.study import LoopStudy
 from vins_core.params import DECLARATIONS
 from vins_core.record.fork import fork
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 
 LIMITS = {

@@ -8,7 +8,7 @@ import pytest
 
 from vins_core.record.compare import compare
 from vins_core.record.fork import fork
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 AT = 45
 

@@ -16,8 +16,10 @@ from same import differences
 from vins_core.errors import VinspectError
 from vins_core.mapping.study import LoopStudy
 from vins_core.record.codec import pack
+from vins_core.record.folder import MAP
 from vins_core.record.fork import fork
-from vins_core.record.recording import MAP, RunReader, state_sections
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import state_sections
 
 
 def test_a_fork_without_changes_is_the_run_bit_for_bit(looping_run: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from vins_core.io.write import write_recording
 from vins_core.mapping.study import LoopStudy
 from vins_core.mapping.truth import Place
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.report import LoopOutcome
 from vins_core.runner import run_recording
 from vins_core.simulation import simulate

@@ -23,7 +23,7 @@ from vins_core.loop.keyframe import LoopKeyframe
 from vins_core.mapping import maps
 from vins_core.mapping.conclusion import final_graph, optimized_trajectory, save_map
 from vins_core.mapping.study import LoopStudy
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 from vins_core.sensors import Trajectory
 from vins_core.simulation.simulate import simulate

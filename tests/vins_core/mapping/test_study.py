@@ -19,7 +19,8 @@ from vins_core.mapping.funnel import STAGES
 from vins_core.mapping.study import LoopStudy
 from vins_core.mapping.truth import Place, Truth
 from vins_core.params import DECLARATIONS
-from vins_core.record.recording import RunReader, RunWriter
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import RunWriter
 from vins_core.report import LoopOutcome
 
 

@@ -15,9 +15,11 @@ from vins_core.evaluation.evaluate import evaluate, run_trajectory
 from vins_core.params import DECLARATIONS, Params
 from vins_core.record.compare import MAX_DT_S, Difference, compare, differing_decision, differing_number
 from vins_core.record.decisions import STAGES, decisions
+from vins_core.record.folder import HEADER
 from vins_core.record.fork import fork
 from vins_core.record.header import to_json
-from vins_core.record.recording import HEADER, RunReader, RunWriter
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import RunWriter
 from vins_core.report import LANDMARK_STATUSES, LOSS_REASONS, FrameReport, Gate, LandmarkStatus, LossReason, Status
 
 AT = 16

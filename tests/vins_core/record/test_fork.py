@@ -15,9 +15,11 @@ from vins_core.errors import OutputError, ParameterError, RecordingError, RunErr
 from vins_core.io.recording import open_recording
 from vins_core.params import changed
 from vins_core.record.compare import compare, first_difference
+from vins_core.record.folder import END, HEADER, INTERRUPTED
 from vins_core.record.fork import fork
 from vins_core.record.header import from_json, to_json
-from vins_core.record.recording import END, HEADER, INTERRUPTED, RunReader, RunWriter
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import RunWriter
 from vins_core.runner import run_recording
 from vins_core.whatif import resolve, without_map
 

@@ -14,7 +14,7 @@ from vins_core.evaluation.evaluate import run_trajectory
 from vins_core.geometry import poses
 from vins_core.io.write import write_recording
 from vins_core.record.imu_rate import imu_rate_trajectory
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 from vins_core.simulation.simulate import simulate
 

@@ -7,7 +7,7 @@ from same import differences
 
 from vins_core.record.codec import pack
 from vins_core.record.keyframes import complete, reduce
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 
 
 def test_a_keyframe_comes_back_bit_for_bit_from_less_than_it_holds(looping_run: Path) -> None:

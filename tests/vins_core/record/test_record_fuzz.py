@@ -15,20 +15,12 @@ import record_samples as samples
 
 from vins_core.errors import RunError
 from vins_core.record.codec import _SIZES, MAX_DIRECTORY, Blob, pack
+from vins_core.record.folder import END, FRAMES, HEADER, IMAGES, INDEX, TRUTH
 from vins_core.record.header import to_json
 from vins_core.record.log import _HEAD, _MAGIC, LogWriter
+from vins_core.record.reader import MAX_INDEX_DIRECTORY, RunReader
 from vins_core.record.recent import Recent
-from vins_core.record.recording import (
-    END,
-    FRAMES,
-    HEADER,
-    IMAGES,
-    INDEX,
-    MAX_INDEX_DIRECTORY,
-    TRUTH,
-    RunReader,
-    RunWriter,
-)
+from vins_core.record.writer import RunWriter
 from vins_core.sensors import ImageRef
 
 NAMES = (FRAMES, INDEX, IMAGES, TRUTH, HEADER, END)
@@ -204,7 +196,7 @@ def test_bombs_in_the_index_cost_nothing(run: Path) -> None:
 
 
 def test_a_state_cannot_gather_more_than_memory_holds(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vins_core.record.recording.MAX_BYTES", 300_000)
+    monkeypatch.setattr("vins_core.record.reader.MAX_BYTES", 300_000)
     with pytest.raises(RunError, match="refers to more than a state can hold"):
         RunReader(run).state(N_FRAMES - 1)
 

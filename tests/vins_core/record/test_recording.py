@@ -16,8 +16,10 @@ from same import differences
 
 from vins_core.errors import OutputError, RunError
 from vins_core.params import Params, replace
+from vins_core.record.folder import FRAMES, HEADER, IMAGES, INDEX, INTERRUPTED, TRUTH, is_run
 from vins_core.record.header import RunHeader
-from vins_core.record.recording import FRAMES, HEADER, IMAGES, INDEX, INTERRUPTED, TRUTH, RunReader, RunWriter, is_run
+from vins_core.record.reader import RunReader
+from vins_core.record.writer import RunWriter
 from vins_core.report import FrameSummary, summarize
 from vins_core.sensors import ImageRef
 
@@ -226,7 +228,7 @@ def test_an_image_of_a_forged_size_is_refused_before_it_takes_memory(
     tmp_path: Path, frames: list, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     forged = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (2**15).to_bytes(4, "big") * 2 + bytes(20)
-    monkeypatch.setattr("vins_core.record.recording._encode", lambda image: forged)
+    monkeypatch.setattr("vins_core.record.writer.encode", lambda image: forged)
     with RunWriter(tmp_path / "run", samples.header(embedded_images=True), images=Noise()) as writer:
         writer.append(*frames[0])
     with pytest.raises(RunError, match=r"an image of 32768x32768 where 752x480 is calibrated"):
@@ -312,7 +314,7 @@ def test_killing_the_writer_loses_no_frame_it_had_finished(tmp_path: Path, frame
     code = (
         "import sys, itertools; sys.path.insert(0, sys.argv[1])\n"
         "import record_samples as samples\n"
-        "from vins_core.record.recording import RunWriter\n"
+        "from vins_core.record.writer import RunWriter\n"
         "writer = RunWriter(sys.argv[2], samples.header())\n"
         "for frame in samples.frames(10_000):\n"
         "    writer.append(*frame)\n"

@@ -11,7 +11,7 @@ from vins_core import params as parameters
 from vins_core.errors import ParameterError
 from vins_core.params import DECLARATIONS, Params
 from vins_core.record.fork import fork
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.record.reevaluate import GIVEN, Column, Derived, Flips, GateHistory
 from vins_core.report import FrameReport, Gate, InitReport, InitStage
 from vins_core.whatif import resolve

@@ -24,7 +24,7 @@ from vins_core.factors.c_source import c_function
 from vins_core.factors.robust import Loss
 from vins_core.params import Params
 from vins_core.record.fork import fork
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 from vins_core.solver import backend, compile, compiled_rows
 from vins_core.solver.backend import COMPILED, NUMPY, VARIABLE, Backend, choose, recorded, using

@@ -12,7 +12,7 @@ import synthetic_window as sw
 from vins_core import examine
 from vins_core.geometry import so3
 from vins_core.params import Params
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 from vins_core.solver import dogleg, ipopt
 from vins_core.solver import levenberg_marquardt as lm

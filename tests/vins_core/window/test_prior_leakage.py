@@ -16,7 +16,7 @@ from sample import CALIBRATION, RECORDING
 from vins_core import examine
 from vins_core import params as settings
 from vins_core.params import Params
-from vins_core.record.recording import RunReader
+from vins_core.record.reader import RunReader
 from vins_core.runner import run_recording
 from vins_core.solver.levenberg_marquardt import solve
 from vins_core.window.assemble import assemble, unpack

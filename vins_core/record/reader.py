@@ -1,20 +1,7 @@
-"""A run on disk: a folder that only ever grows, readable while it is written and after a crash (SPEC 9.1).
-
-    header.json   how the run came about
-    truth.log     ground truth of the recording, when it has one
-    frames.log    a block a frame: report, timings, packet, and the state after it (HOUSE, "Time travel")
-    index.log     a block a frame: where it lies in frames.log, and its summary; made again when missing or damaged
-    map/          with loops: the map that the run begins with, its vocabulary at least (mapping/maps.py)
-    images.log    with --embed-images: the images of each frame and its depth, losslessly
-    global.log    with GPS: the final trajectory, written when the run ends (fusion/conclusion.py)
-    end.json      written last: how the run ended
-
-The state of every frame comes back bit for bit without replay: see codec.py for how a window costs little.
-"""
+"""A run as it is read, while it grows or later: any frame, in any order; folder.py says what lies where."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 import threading
 from collections.abc import Callable
@@ -26,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from ..clock import stopwatch
-from ..errors import OutputError, RunError
+from ..errors import RunError
 from ..report import FrameReport, FrameSummary, Timings, summarize
-from ..sensors import DepthRef, DepthSource, ImageRef, ImageSource, Packet, Trajectory
+from ..sensors import DepthRef, ImageRef, Packet, Trajectory
 from . import header as headers
-from .codec import Blob, Ledger, pack, pack_series
-from .header import RunHeader
+from . import lock
+from .codec import Blob, pack
+from .folder import END, FRAMES, GLOBAL, HEADER, IMAGES, INDEX, MAP, TRUTH, End, is_run
+from .images import decode
 from .log import Block, LogReader, LogWriter
 from .recent import MAX_BYTES, Recent
 
@@ -43,155 +31,8 @@ if TYPE_CHECKING:
     from ..pipeline import RunState
     from .closures import RecordedMap
 
-try:
-    import fcntl
-except ImportError:  # not on this system: a run that was killed looks like one that still grows
-    fcntl = None  # type: ignore[assignment]
-
-HEADER, TRUTH, FRAMES, INDEX, IMAGES, GLOBAL, END, MAP = (
-    "header.json",
-    "truth.log",
-    "frames.log",
-    "index.log",
-    "images.log",
-    "global.log",
-    "end.json",
-    "map",
-)
 KEEP_STATES = 4
 MAX_INDEX_DIRECTORY = 64 * 1024
-MAX_IMAGE_PIXELS = 2**26
-FINISHED, INTERRUPTED = "finished", "interrupted"
-
-
-class _End(msgspec.Struct):
-    outcome: str  # FINISHED, INTERRUPTED, or the sentence of the error that ended the run
-    frames: int
-
-
-def is_run(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder is a run rather than a recording."""
-    return (Path(path) / HEADER).is_file()
-
-
-class RunWriter:
-    """Appends frames to a new run.  Raises OutputError when the folder is not empty or cannot be written."""
-
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        header: RunHeader,
-        truth: Trajectory | None = None,
-        images: ImageSource | None = None,
-        places: Places | None = None,
-    ) -> None:
-        """`images`: where to take the pixels of frames from when the header says that they are embedded.
-
-        `places`: what the run closes loops with.
-        """
-        self.path = Path(path)
-        self._images = images if header.embedded_images else None
-        self._depth = header.calibration.cameras[0].depth
-        self._ledger = Ledger()
-        self._create_folder()
-        self._frames = LogWriter(self.path / FRAMES)
-        self._index = LogWriter(self.path / INDEX)
-        self._image_log = LogWriter(self.path / IMAGES) if self._images else None
-        if fcntl:
-            with contextlib.suppress(OSError):  # some network folders cannot lock
-                fcntl.flock(self._frames.fileno(), fcntl.LOCK_EX)
-        if truth is not None:
-            self._write_block(TRUTH, {"truth": truth})
-        if places is not None:
-            from ..mapping import maps
-
-            maps.save(self.path / MAP, places, places.graph, places.keyframes)
-        self._write(HEADER, headers.to_json(header))  # last: a folder with a header can be opened
-
-    def adopt(self, other: RunReader, frames: int) -> None:
-        """Begin with the first `frames` frames of another run, byte for byte; its images come along."""
-        if len(self) or not 0 <= frames <= len(other):
-            raise ValueError(f"cannot begin with {frames} frames of {other.path} after {len(self)} of its own")
-        other.copy_logs(frames, self._frames, self._index, self._image_log)
-        self._ledger = Ledger(frames)
-
-    def append(
-        self, report: FrameReport, timings: Timings, packet: Packet | None = None, state: RunState | None = None
-    ) -> None:
-        """The next frame; with `packet` and `state` (the one after the step) it can be restored and replayed.
-
-        Adds how long it took to the frame's timings, as `record`.
-        """
-        if report.frame != len(self):
-            raise ValueError(f"frame {report.frame} cannot follow {len(self) - 1}: frames are numbered from 0")
-        own: dict[str, Any] = {"report": report, "timings": timings}
-        if packet is not None:
-            own["packet"] = packet
-        timings = dict(timings)
-        with stopwatch(timings, "record"):  # known too late for frames.log: only the index has it
-            if self._image_log and self._images:
-                if self._depth and packet is not None and packet.depth is not None:
-                    own["depth"] = self._image_log.append(self._packed_depth(packet.depth))
-                own["images"] = [self._image_log.append(_encode(self._images.load(ref))) for ref in report.images]
-            if state is not None and report.closure is not None and report.closure.keyframe is not None:
-                own["keyframe"] = _newest_keyframe(state)
-            payload, self._ledger = pack_series(own, {} if state is None else state_sections(state), self._ledger)
-            block = self._frames.append(payload)
-        self._index.append(pack({"block": block, "summary": summarize(report, timings)}))
-
-    def __len__(self) -> int:
-        return self._ledger.blob
-
-    def conclude(self, final: FinalTrack) -> None:
-        """The trajectory that the fixes make of the whole run, once its last frame is there."""
-        self._write_block(GLOBAL, {"final": final})
-
-    def close(self, outcome: str = FINISHED) -> None:
-        """Ends the run; `outcome` says how, one sentence when it failed."""
-        if self._frames.closed:
-            return
-        for log in (self._frames, self._index, self._image_log):
-            if log:
-                log.close()
-        self._write(END, headers.seal({"outcome": outcome, "frames": len(self)}))
-
-    def __enter__(self) -> RunWriter:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, problem: BaseException | None, trace: Any) -> None:
-        if problem is None:
-            self.close()
-        else:
-            self.close(f"{problem or kind}" if isinstance(problem, Exception) else INTERRUPTED)
-
-    def _packed_depth(self, ref: DepthRef) -> bytes:
-        assert self._depth is not None and isinstance(self._images, DepthSource)
-        return pack({"depth_m": self._images.load_depth(ref, self._depth.scale_m)})
-
-    def _create_folder(self) -> None:
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            occupied = any(self.path.iterdir())
-        except OSError as problem:
-            raise OutputError(f"cannot create the run folder {self.path}: {problem.strerror}") from None
-        if occupied:
-            raise OutputError(
-                f"{self.path} is not empty; a run is never overwritten: choose another folder or remove it"
-            )
-
-    def _write_block(self, name: str, sections: dict[str, Any]) -> None:
-        log = LogWriter(self.path / name)
-        log.append(pack(sections))
-        log.close()
-
-    def _write(self, name: str, data: bytes) -> None:
-        path = self.path / name
-        partial = path.with_suffix(".part")
-        try:
-            partial.write_bytes(data)
-            partial.replace(path)
-        except OSError as problem:
-            raise OutputError(f"cannot write {path}: {problem.strerror}") from None
 
 
 class RunReader:
@@ -248,14 +89,7 @@ class RunReader:
     @property
     def growing(self) -> bool:
         """Some process still writes it."""
-        if self.outcome is not None or not fcntl:
-            return self.outcome is None
-        try:
-            fcntl.flock(self._frames.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except OSError:
-            return True
-        fcntl.flock(self._frames.fileno(), fcntl.LOCK_UN)
-        return False
+        return self.outcome is None and lock.is_held(self._frames.fileno())
 
     @property
     def truth(self) -> Trajectory | None:
@@ -306,7 +140,7 @@ class RunReader:
                 if mine == ref:
                     camera = self.header.calibration.cameras[ref.camera].model
                     where = f"{self.path / IMAGES} at byte {block.offset}"
-                    return _decode(self._images.read(block), (camera.height, camera.width), where)
+                    return decode(self._images.read(block), (camera.height, camera.width), where)
         raise RunError(f"{self.path} holds no image {ref.index} of camera {ref.camera} at {ref.t_ns} ns")
 
     def load_depth(self, ref: DepthRef, scale_m: float) -> np.ndarray:
@@ -454,9 +288,9 @@ class RunReader:
         self._blocks.append(block)
         self.summaries.append(summary)
 
-    def _end(self) -> _End | None:
+    def _end(self) -> End | None:
         try:
-            return msgspec.convert(headers.unseal(self._small_file(END), END), _End)
+            return msgspec.convert(headers.unseal(self._small_file(END), END), End)
         except (RunError, msgspec.MsgspecError):
             return None
 
@@ -476,37 +310,3 @@ class RunReader:
             return path.read_bytes()
         except OSError as problem:
             raise RunError(f"cannot read {path}: {problem.strerror}") from None
-
-
-def state_sections(state: RunState) -> dict[str, Any]:
-    """The sections of a state: what only grows is elsewhere (closures.py)."""
-    if state.closure is None:
-        return {"state": state}
-    from .closures import mark
-
-    return {"state": replace(state, closure=None), "closure": mark(state.closure)}
-
-
-def _newest_keyframe(state: RunState) -> Any:
-    from .keyframes import reduce
-
-    assert state.closure is not None
-    return reduce(state.closure.loops.keyframes[len(state.closure.loops) - 1])
-
-
-def _encode(image: np.ndarray) -> bytes:
-    import cv2
-
-    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
-
-
-def _decode(png: bytes, shape: tuple[int, int], where: str) -> np.ndarray:
-    import cv2
-
-    width, height = int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")  # of the IHDR chunk
-    if (height, width) != shape or height * width > MAX_IMAGE_PIXELS:  # told before a forged size takes memory
-        raise RunError(f"{where} holds an image of {width}x{height} where {shape[1]}x{shape[0]} is calibrated")
-    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise RunError(f"{where} does not hold an image")
-    return image
