@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .arrival import Arrival, receive
 from .params import Params
-from .pipeline import Arrival, receive
 from .record.fork import state_before
 from .record.reader import RunReader
 from .solver.covariance import Covariances, covariances

@@ -19,7 +19,6 @@ from .io.sync import TimeOffset, packets
 from .mapping.maps import load as load_map
 from .mapping.places import Places, learn_places, read_places
 from .params import Params
-from .pipeline import start
 from .process import prepare
 from .record.header import RunHeader
 from .record.replay import Progress, Result, estimate
@@ -27,6 +26,7 @@ from .record.writer import RunWriter
 from .sensors import Calibration
 from .solver import backend as backends
 from .solver.backend import Wish
+from .state import start
 
 __all__ = ["Progress", "Result", "choose_parameters", "run_recording"]
 

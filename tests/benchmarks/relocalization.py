@@ -20,12 +20,12 @@ import numpy as np
 from place_recognition import keyframes_of, true_poses
 
 from vins_core import params as parameters
+from vins_core.arrival import receive
 from vins_core.factors.prior import difference_poses
 from vins_core.geometry import poses
 from vins_core.loop import step
 from vins_core.loop.relocalize import RelocalisationRequest, recheck, request
 from vins_core.params import Params
-from vins_core.pipeline import receive
 from vins_core.process import prepare
 from vins_core.record.reader import RunReader
 from vins_core.report import LoopCandidate, RelocalizationReport, Timings, all_pass

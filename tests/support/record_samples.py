@@ -8,7 +8,6 @@ from vins_core.factors.preintegration import Preintegration
 from vins_core.frontend.state import TrackerState
 from vins_core.geometry.camera import camera_from_dict
 from vins_core.params import Params
-from vins_core.pipeline import RunState
 from vins_core.record.header import RunHeader
 from vins_core.report import (
     BlockReport,
@@ -37,6 +36,7 @@ from vins_core.sensors import (
     Packet,
     Trajectory,
 )
+from vins_core.state import RunState
 from vins_core.window.state import BlockKey, Landmarks, Observations, Prior, WindowFrame, WindowState
 
 T0 = 1_403_636_580_000_000_000

@@ -21,11 +21,11 @@ from .. import params as parameters
 from ..errors import ParameterError, RunError
 from ..io.recording import open_recording
 from ..params import Params
-from ..pipeline import RunState, start
 from ..process import prepare
 from ..sensors import ImageSource, Packet
 from ..solver import backend as backends
 from ..solver.backend import Wish
+from ..state import RunState, start
 from .header import Parent, RunHeader, cpu_model, package_versions
 from .reader import RunReader
 from .regroup import regroup

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from ..fusion.conclusion import FinalTrack
     from ..loop.keyframe import Keyframes
     from ..mapping.places import Places
-    from ..pipeline import RunState
+    from ..state import RunState
     from .closures import RecordedMap
 
 KEEP_STATES = 4
@@ -230,7 +230,7 @@ class RunReader:
         return blob.get("report", FrameReport), blob.cost
 
     def _read_state(self, k: int) -> tuple[RunState, int]:
-        from ..pipeline import RunState  # not needed to look at a run, and costs CasADi
+        from ..state import RunState  # not needed to look at a run, and costs CasADi
 
         blobs = {0: self._holding(k, "state")}
 

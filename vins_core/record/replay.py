@@ -11,9 +11,10 @@ from ..clock import stopwatch
 from ..fusion import conclusion
 from ..io.sync import TimeOffset
 from ..mapping.places import Places
-from ..pipeline import RunState, step
+from ..pipeline import step
 from ..report import FrameSummary, Timings, summarize
 from ..sensors import DepthRef, DepthSource, ImageRef, ImageSource, Packet
+from ..state import RunState
 from .folder import FINISHED, INTERRUPTED
 from .header import RunHeader
 from .reader import RunReader

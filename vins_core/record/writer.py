@@ -22,7 +22,7 @@ from .log import LogWriter
 if TYPE_CHECKING:
     from ..fusion.conclusion import FinalTrack
     from ..mapping.places import Places
-    from ..pipeline import RunState
+    from ..state import RunState
     from .reader import RunReader
 
 
