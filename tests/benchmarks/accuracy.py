@@ -35,6 +35,7 @@ def run(recording: Path, calib: list[Path], mode: str, changes: dict, start_s: f
     from vins_core.io.sync import TimeOffset, packets
     from vins_core.process import prepare
     from vins_core.sensors import Trajectory
+    from vins_core.state import start
 
     prepare()
     with open_recording(recording) as probe:
@@ -42,7 +43,7 @@ def run(recording: Path, calib: list[Path], mode: str, changes: dict, start_s: f
     calibration, _ = modes.prepare(settings.calibration, mode)
     source = open_recording(recording, calibration)
     params = P.replace(P.replace(P.Params(), settings.overrides), changes)
-    state = pipeline.start(calibration)
+    state = start(calibration)
     t_ns, p, q, first_image, restarts, ms = [], [], [], None, 0, []
     offset = TimeOffset(calibration.td_of(0))
     for packet in packets(source, calibration, params, start_s, duration_s, offset):

@@ -27,6 +27,7 @@ from vins_core.process import prepare
 from vins_core.report import summarize
 from vins_core.sensors import Trajectory
 from vins_core.simulation.simulate import Simulation, simulate
+from vins_core.state import start
 
 SPAN_S = 5.0
 DURATION_S = 9.0  # mono's first pose comes within 3 s
@@ -40,7 +41,7 @@ def estimate(simulation: Simulation, recording: Path, variant: str, changes: dic
     params = parameters.replace(parameters.Params(), {**simulation.settings.overrides, **changes})
     if variant != "mono":
         params = parameters.replace(params, {"depth.variant": variant})
-    state, summaries = pipeline.start(calibration), []
+    state, summaries = start(calibration), []
     with open_recording(recording, calibration) as source:
         for packet in packets(source, calibration, params):
             state, report, ms = pipeline.step(params, calibration, source, state, packet)

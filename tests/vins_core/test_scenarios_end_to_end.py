@@ -16,6 +16,7 @@ from vins_core.io.sync import packets
 from vins_core.io.write import write_recording
 from vins_core.report import FrameReport, FrameSummary, summarize
 from vins_core.simulation.simulate import simulate
+from vins_core.state import start
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def run(tmp_path_factory):
         folder = tmp_path_factory.mktemp("scenario") / scenario
         write_recording(simulation.messages(), folder, "asl", settings=simulation.settings)
         params = parameters.replace(parameters.Params(), {**simulation.settings.overrides, **changes})
-        state, reports, summaries = pipeline.start(simulation.calibration), [], []
+        state, reports, summaries = start(simulation.calibration), [], []
         with open_recording(folder) as source:
             source.use(simulation.calibration)
             for packet in packets(source, simulation.calibration, params):
