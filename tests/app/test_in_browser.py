@@ -108,9 +108,8 @@ def test_scrubbing_the_timeline_seeks(served_run: Server, open_page: OpenPage) -
 def test_space_plays_and_pauses(served_run: Server, open_page: OpenPage) -> None:
     page = open_page(served_run)
     page.keyboard.press("Space")
-    page.wait_for_function(
-        "Number(document.querySelector('[data-vip=timeline] [data-frame]')?.dataset.frame) >= 4"
-    )  # while it is replaced there is none
+    shown = "document.querySelector('[data-vip=timeline] [data-frame]')?.dataset.frame"  # none while it is replaced
+    page.wait_for_function(f"Number({shown}) >= 4")
     page.keyboard.press("Space")
     expect(page.locator("[data-vip=timeline]").first).to_contain_text("paused")
     stopped = frame_of(page)
