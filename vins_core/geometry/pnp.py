@@ -31,20 +31,23 @@ def tangent_basis(rays: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(rays, first)], -1)
 
 
-def solve_pnp(points_w: np.ndarray, rays_c: np.ndarray, T_w_c_guess: np.ndarray, threshold_rad: float) -> Pnp | None:
+def solve_pnp(
+    points_w: np.ndarray, rays_c: np.ndarray, T_w_c_guess: np.ndarray, threshold_rad: float, tolerance: float = 1e-9
+) -> Pnp | None:
     """Camera pose from points (n, 3) and unit rays (n, 3), starting at a guess; None for fewer than 6 points.
 
     Minimises sum log(1 + |r|^2 / threshold^2) with r = B(ray)^T normalised(R^T (p - t)), the miss on the tangent
-    plane of the measured ray.  When the guess leads nowhere, P3P-RANSAC on the rays that reach the image plane gives
-    another start.  Inliers are those of the final pose (REFERENCE 23.2); whether they are enough is for the caller.
+    plane of the measured ray, until a step lowers it by a share of less than `tolerance`.  When the guess leads
+    nowhere, P3P-RANSAC on the rays that reach the image plane gives another start.  Inliers are those of the final
+    pose (REFERENCE 23.2); whether they are enough is for the caller.
     """
     if len(points_w) < MIN_POINTS:
         return None
-    solved = _refine(points_w, rays_c, T_w_c_guess, threshold_rad)
+    solved = _refine(points_w, rays_c, T_w_c_guess, threshold_rad, tolerance)
     if solved.n_inliers < 0.7 * len(points_w):
         start = _ransac(points_w, rays_c, threshold_rad)
         if start is not None:
-            solved = max(solved, _refine(points_w, rays_c, start, threshold_rad), key=lambda s: s.n_inliers)
+            solved = max(solved, _refine(points_w, rays_c, start, threshold_rad, tolerance), key=lambda s: s.n_inliers)
     return solved
 
 
@@ -58,7 +61,14 @@ def pose_covariance(T_w_c: np.ndarray, points_w: np.ndarray, rays_c: np.ndarray,
     return np.linalg.inv(H + 1e-12 * np.trace(H) * np.eye(6)) * sigma_rad**2  # large, not infinite, where undetermined
 
 
-def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_rad: float, iterations: int = 20) -> Pnp:
+def _refine(
+    points_w: np.ndarray,
+    rays_c: np.ndarray,
+    T: np.ndarray,
+    threshold_rad: float,
+    tolerance: float,
+    iterations: int = 20,
+) -> Pnp:
     """Levenberg-Marquardt on the six pose parameters, R <- R Exp(d)."""
     basis = tangent_basis(rays_c)
 
@@ -81,7 +91,7 @@ def _refine(points_w: np.ndarray, rays_c: np.ndarray, T: np.ndarray, threshold_r
         T_new = se3.from_rotation_translation(T[:3, :3] @ so3.to_matrix(so3.exp(d[3:])), T[:3, 3] + d[:3])
         new = evaluate(T_new)
         if new[3] < cost:
-            converged = cost - new[3] < 1e-9 * cost
+            converged = cost - new[3] < tolerance * cost
             T, (local, r, squared, cost), damping = T_new, new, damping / 10
             if converged:
                 break

@@ -7,6 +7,8 @@ enter the solve and builds the factor tables; `unpack` writes solved states into
 
 from __future__ import annotations
 
+import operator
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -63,9 +65,26 @@ class Tracks:
         return np.bincount(self.track, ~np.isnan(self.right[:, 0]), len(self.ids)) > 0
 
 
+class _Newest(threading.local):
+    """What `tracks_of` was asked last, and what it said: each step of a frame's turn asks it about the same tracks."""
+
+    seen: tuple[Observations, ...] = ()
+    timing: tuple[float | bool, ...] = ()
+    tracks: Tracks | None = None
+
+
+_newest = _Newest()
+
+
 def tracks_of(window: WindowState) -> Tracks:
     """The tracks of a window, as seen at the times of its poses."""
-    return gather_tracks(tuple(referred_to(f, window.td_s) for f in window.frames), window.knows_td)
+    seen = tuple(f.observations for f in window.frames)
+    timing = (window.td_s, window.knows_td, *(f.td_s for f in window.frames))
+    same = len(seen) == len(_newest.seen) and all(map(operator.is_, seen, _newest.seen))
+    if not same or timing != _newest.timing or _newest.tracks is None:
+        frames = tuple(referred_to(f, window.td_s) for f in window.frames)
+        _newest.seen, _newest.timing, _newest.tracks = seen, timing, gather_tracks(frames, window.knows_td)
+    return _newest.tracks
 
 
 def gather_tracks(frames: tuple[WindowFrame, ...], moving: bool = False) -> Tracks:

@@ -15,6 +15,9 @@ from .assemble import tracks_of
 from .landmarks import camera_poses
 from .state import OUTLIER, WindowFrame, WindowState
 
+TOLERANCE = 1e-4
+"""A pose to start from need not be better: the solve that follows goes on with everything the window knows."""
+
 
 def locate(params: Params, window: WindowState) -> tuple[WindowState, Gate]:
     """`window` with the pose of its newest frame, and how many landmarks agree on that.
@@ -27,7 +30,7 @@ def locate(params: Params, window: WindowState) -> tuple[WindowState, Gate]:
     seen, points_w, rays = _landmarks_in_view(replace(window, frames=tuple(placed)), newest)
     sigma_rad = params.window.pixel_sigma / FOCAL_PX
     T_b_c = window.T_b_c[0]
-    found = solve_pnp(points_w, rays, guess @ T_b_c, 2.0 * sigma_rad) if len(seen) else None
+    found = solve_pnp(points_w, rays, guess @ T_b_c, 2.0 * sigma_rad, TOLERANCE) if len(seen) else None
     agree = found.n_inliers if found else 0
     gate = Gate("landmarks agree on the pose", agree, ">=", params.init.min_pnp_points, "init.min_pnp_points")
     T_w_b = found.T_w_c @ se3.inverse(T_b_c) if found and gate.passed else guess
