@@ -71,7 +71,14 @@ def replace(params: Params, changes: Mapping[str, Any]) -> Params:
 def changed(params: Params, reference: Params | None = None) -> dict[str, Any]:
     """The parameters that differ from `reference` (the defaults), `section.name -> value`."""
     reference = reference or Params()
-    return {k: get(params, k) for k in DECLARATIONS if get(params, k) != get(reference, k)}
+    sections = ((f.name, getattr(params, f.name), getattr(reference, f.name)) for f in dataclasses.fields(Params))
+    return {
+        f"{section}.{f.name}": getattr(mine, f.name)
+        for section, mine, theirs in sections
+        if mine is not theirs
+        for f in dataclasses.fields(mine)
+        if getattr(mine, f.name) != getattr(theirs, f.name)
+    }
 
 
 def parse_assignment(text: str) -> tuple[str, str]:
