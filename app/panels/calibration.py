@@ -27,7 +27,7 @@ from ..html import (
 )
 from ..palette import CANDIDATE, ESTIMATE, MUTED
 from ..widgets.gate import gate_list
-from ..widgets.plot import WIDTH, area, line, svg, x_of
+from ..widgets.plot import WIDTH, area, line, stretches, svg
 
 TITLE = "Calibration"
 ICON = "RULER_MEASURE"
@@ -114,7 +114,7 @@ def _lane(
     drawing = area(below, above, span, height, BAND), rule, line(values - low, span, height, ESTIMATE)
     return tag(
         "div",
-        svg(height, *_shaded(held, height), *drawing),
+        svg(height, stretches(held, height, CANDIDATE, 0.35, "held"), *drawing),
         tag("i", cls="vi-head"),
         cls="vi-lane vi-sunken",
         style=f"height:{height}px",
@@ -122,23 +122,6 @@ def _lane(
         onpointermove="vi.scrub(event,this)",
         data_plot=name,
     )
-
-
-def _shaded(held: np.ndarray, height: int) -> list[Html]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(np.int8)))
-    return [
-        tag(
-            "rect",
-            tag("title", f"held: frames {a} to {b - 1}"),
-            x=f"{float(x_of(a, len(held))):.1f}",
-            y=0,
-            width=f"{max(float(x_of(b - a, len(held))), 1):.1f}",
-            height=height,
-            fill=CANDIDATE,
-            fill_opacity=0.35,
-        )
-        for a, b in zip(edges[::2].tolist(), edges[1::2].tolist())
-    ]
 
 
 def _ends(values: np.ndarray, sigma: np.ndarray, given: float) -> tuple[float, float]:

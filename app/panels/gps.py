@@ -34,7 +34,7 @@ from ..html import (
 from ..palette import ESTIMATE, IMU, OK
 from ..widgets.gate import gate_lines
 from ..widgets.gps_map import MapPicture, gps_map, symbol
-from ..widgets.plot import area, line, svg, ticks, x_of
+from ..widgets.plot import area, line, stretches, svg, ticks
 
 TITLE = "GPS"
 ICON = "SATELLITE"
@@ -77,9 +77,10 @@ def backdrop(ctx: PanelContext) -> str:
     band = area(np.clip(low, 0, 2 * reach), np.clip(high, 0, 2 * reach), 2 * reach, PLOT, "#1D3A4C")
     curve = line(yaw - centre + reach, 2 * reach, PLOT, ESTIMATE)
     begun = np.flatnonzero(np.diff(np.append(False, gps.fusing).astype(np.int8)) == 1)
+    outages = stretches(silent(ctx.run), PLOT, IMU, 0.22, "no fix counts")
     lane = tag(
         "div",
-        svg(PLOT, band, curve, _silence(ctx, PLOT), ticks(begun, n, 0, PLOT, OK, 1.6)),
+        svg(PLOT, band, curve, outages, ticks(begun, n, 0, PLOT, OK, 1.6)),
         tag("i", cls="vi-head"),
         cls="vi-lane vi-sunken",
         style=f"height:{PLOT}px",
@@ -101,26 +102,6 @@ def backdrop(ctx: PanelContext) -> str:
             cls="vi",
         )
     )
-
-
-def _silence(ctx: PanelContext, height: float) -> Html:
-    """Bands where the last fix that counted is long ago."""
-    n = len(ctx.run)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], silent(ctx.run), [False]]).astype(np.int8)))
-    bands = (
-        tag(
-            "rect",
-            tag("title", f"no fix counts: frames {a} to {b - 1}"),
-            x=f"{float(x_of(a, n)):.1f}",
-            y=0,
-            width=f"{max(float(x_of(b - a, n)), 1):.1f}",
-            height=height,
-            fill=IMU,
-            fill_opacity=0.22,
-        )
-        for a, b in zip(edges[::2].tolist(), edges[1::2].tolist())
-    )
-    return text(bands)
 
 
 def silent(run: RunView) -> np.ndarray:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..html import Html, tag
+from ..html import Html, tag, text
 
 WIDTH = 1000
 """Horizontal extent of every plot in SVG units; vertical units are pixels."""
@@ -60,6 +60,26 @@ def ticks(frames: np.ndarray, n: int, y0: float, y1: float, colour: str, width: 
     return Html(
         f'<path d="{body}" stroke="{colour}" stroke-width="{width}" fill="none" vector-effect="non-scaling-stroke"/>'
     )
+
+
+def stretches(where: np.ndarray, height: float, colour: str, opacity: float, why: str) -> Html:
+    """Upright bands over the frames in `where` (n,) bool; `why` begins their titles."""
+    n = len(where)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(np.int8)))
+    bands = (
+        tag(
+            "rect",
+            tag("title", f"{why}: frames {a} to {b - 1}"),
+            x=f"{float(x_of(a, n)):.1f}",
+            y=0,
+            width=f"{max(float(x_of(b - a, n)), 1):.1f}",
+            height=height,
+            fill=colour,
+            fill_opacity=opacity,
+        )
+        for a, b in zip(edges[::2].tolist(), edges[1::2].tolist())
+    )
+    return text(bands)
 
 
 def mark(frame: int, n: int, y0: float, y1: float, colour: str, title: str, width: float = 2.5) -> Html:
